@@ -1,0 +1,196 @@
+"""Reads glTF 2.0: trimesh decodes the buffers, this module places the parts and keeps exact factors.
+
+trimesh's own scene rounds colour factors to 8 bits and passes over sparse, quantised and compressed geometry,
+which comes out as zeros or unscaled integers; such files are refused here.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import struct
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from trimesh.exchange.gltf import load_glb, load_gltf
+from trimesh.resolvers import FilePathResolver
+
+from prtcl.errors import InputError
+from prtcl.scene.mesh_gltf_nodes import material_of, placements
+from prtcl.scene.mesh_raw import PartMaterial, RawMesh, concatenate, single
+
+_JSON_CHUNK = 0x4E4F534A
+_TRIANGLES, _STRIP, _FAN = 4, 5, 6
+_FLOAT = 5126
+_INDEX_TYPES = (5121, 5123, 5125)
+# Required extensions that leave the geometry alone; any other may change it.
+_HARMLESS = ("KHR_materials_", "KHR_texture_", "EXT_texture_", "KHR_lights_", "KHR_xmp", "KHR_animation_")
+
+
+def load_gltf_scene(path: Path, data: bytes) -> RawMesh:
+    """Read a GLB or glTF file, flattened to one mesh.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+        Where it lies; external buffers are looked up beside it.
+    data : bytes
+        Its contents.
+
+    Returns
+    -------
+    RawMesh
+        One part for each primitive of each node of the default scene, in depth-first file order, in world
+        space. Normals are None where no part stores any.
+
+    Raises
+    ------
+    InputError
+        Damaged, or with geometry that cannot be decoded. Other exceptions of trimesh pass through.
+    """
+    binary = path.suffix.lower() == ".glb"
+    text, rest = _split(path, data) if binary else (data, b"")
+    tree = json.loads(text)
+    if not isinstance(tree, dict):
+        raise InputError(f"{path}: expected a glTF scene, got other JSON")
+    version = str(tree.get("asset", {}).get("version", "2.0"))
+    if not version.startswith("2"):
+        raise InputError(f"{path}: expected glTF version 2, got {version}; export it as glTF 2.0")
+    required = [name for name in tree.get("extensionsRequired", []) if not name.startswith(_HARMLESS)]
+    if required:
+        raise InputError(
+            f"{path}: needs {', '.join(required)}, which is not supported; export it uncompressed"
+        )
+    notes: list[str] = []
+    kept = _triangle_primitives(path, tree, notes)
+    decoded = iter(_decode(path, tree, kept, rest, binary))
+    shapes = [[(next(decoded), material_of(tree, primitive, notes)) for primitive in mesh] for mesh in kept]
+    pieces = [
+        _placed(path, arrays, matrix, material)
+        for mesh, matrix in placements(tree)
+        for arrays, material in shapes[mesh]
+    ]
+    if not pieces:
+        raise InputError(f"{path}: expected a mesh, got a glTF scene without triangles")
+    whole = concatenate(pieces)
+    whole.notes += list(dict.fromkeys(notes))  # instances repeat them
+    return whole
+
+
+def _split(path: Path, data: bytes) -> tuple[bytes, bytes]:
+    """Return the JSON of a GLB and the chunks after it."""
+    if data[:4] != b"glTF":
+        raise InputError(f"{path}: expected a GLB mesh, got something else (the first bytes are not 'glTF')")
+    version, length, size, kind = struct.unpack_from("<4I", data, 4)
+    if version != 2 or kind != _JSON_CHUNK:
+        raise InputError(f"{path}: expected GLB version 2, got version {version}; export it as glTF 2.0")
+    if length > len(data) or 20 + size > length:
+        raise InputError(
+            f"{path}: incomplete GLB mesh, expected {length} bytes, got {len(data)}; copy or export it again"
+        )
+    return data[20 : 20 + size], data[20 + size : length]
+
+
+def _triangle_primitives(path: Path, tree: dict[str, Any], notes: list[str]) -> list[list[dict[str, Any]]]:
+    """Return each mesh's triangle primitives, whose accessors trimesh is known to decode."""
+    kept: list[list[dict[str, Any]]] = []
+    skipped = 0
+    for mesh in tree.get("meshes", []):
+        triangles = []
+        for primitive in mesh["primitives"]:
+            mode = primitive.get("mode", _TRIANGLES)
+            if mode == _FAN:
+                raise InputError(f"{path}: holds triangle fans, which are not supported; export triangles")
+            if mode not in (_TRIANGLES, _STRIP):
+                skipped += 1
+                continue
+            attributes = primitive["attributes"]
+            _check_accessor(path, tree, attributes["POSITION"], (_FLOAT,), "VEC3")
+            if "NORMAL" in attributes:
+                _check_accessor(path, tree, attributes["NORMAL"], (_FLOAT,), "VEC3")
+            if "indices" in primitive:
+                _check_accessor(path, tree, primitive["indices"], _INDEX_TYPES, "SCALAR")
+            triangles.append(primitive)
+        kept.append(triangles)
+    if skipped:
+        notes.append(f"left out {skipped} groups of points or lines")
+    if tree.get("skins"):
+        notes.append("skinning is not applied")
+    return kept
+
+
+def _check_accessor(path: Path, tree: dict[str, Any], index: int, types: tuple[int, ...], kind: str) -> None:
+    """Refuse an accessor that trimesh would decode to zeros or to unscaled integers."""
+    accessor = tree["accessors"][index]
+    if accessor["componentType"] not in types or accessor["type"] != kind:
+        raise InputError(f"{path}: holds quantised geometry, which is not supported; export it uncompressed")
+    if "sparse" in accessor or "bufferView" not in accessor:
+        raise InputError(f"{path}: holds sparse or compressed geometry; export it uncompressed")
+    if "EXT_meshopt_compression" in tree["bufferViews"][accessor["bufferView"]].get("extensions", {}):
+        raise InputError(f"{path}: holds meshopt compressed geometry; export it uncompressed")
+
+
+def _decode(
+    path: Path, tree: dict[str, Any], kept: list[list[dict[str, Any]]], rest: bytes, binary: bool
+) -> list[dict[str, Any]]:
+    """Return trimesh's arrays of every kept primitive, in order."""
+    # Only what the arrays take: textures, cameras and names would be work, and reasons to fail.
+    wanted = ("POSITION", "NORMAL")
+    reduced: dict[str, Any] = {
+        key: tree[key] for key in ("asset", "accessors", "bufferViews", "buffers") if key in tree
+    }
+    reduced["meshes"] = [
+        {
+            "primitives": [
+                {
+                    "attributes": {name: p["attributes"][name] for name in wanted if name in p["attributes"]},
+                    **{key: p[key] for key in ("indices", "mode") if key in p},
+                }
+                for p in mesh
+            ]
+        }
+        for mesh in kept
+    ]
+    text = json.dumps(reduced).encode()
+    resolver = FilePathResolver(str(path))
+    if binary:
+        text += b" " * (-len(text) % 4)  # chunks are multiples of 4 bytes
+        head = struct.pack("<5I", 0x46546C67, 2, 20 + len(text) + len(rest), len(text), _JSON_CHUNK)
+        loaded = load_glb(io.BytesIO(head + text + rest), resolver=resolver)
+    else:
+        loaded = load_gltf(io.BytesIO(text), resolver=resolver)
+    arrays = list(loaded["geometry"].values())
+    if len(arrays) != sum(len(mesh) for mesh in kept):
+        raise ValueError("some of its parts cannot be decoded")
+    return arrays
+
+
+def _placed(
+    path: Path, arrays: dict[str, Any], matrix: NDArray[np.float64], material: PartMaterial | None
+) -> RawMesh:
+    """Move one primitive to world space."""
+    vertices = np.asarray(arrays["vertices"], dtype=np.float64)
+    faces = np.asarray(arrays["faces"], dtype=np.int64)
+    # Checked before parts are joined, where an index too high would reach into the next part.
+    if faces.size and not 0 <= faces.min() <= faces.max() < len(vertices):
+        raise InputError(
+            f"{path}: a face points at vertex {faces.max()} of {len(vertices)}; the file is damaged"
+        )
+    notes: list[str] = []
+    normals = arrays.get("vertex_normals")
+    if normals is not None and np.shape(normals) != vertices.shape:
+        notes.append(f"dropped stored normals: {len(normals)} for {len(vertices)} vertices")
+        normals = None
+    linear = matrix[:3, :3]
+    mirrored = np.linalg.det(linear) < 0
+    if normals is not None:
+        # The cofactors are the inverse transpose times the determinant, and exist for flattening scales too.
+        cofactors = np.stack([np.cross(linear[(i + 1) % 3], linear[(i + 2) % 3]) for i in range(3)])
+        normals = np.asarray(normals, dtype=np.float64) @ cofactors.T * (-1.0 if mirrored else 1.0)
+    if mirrored:
+        faces = faces[:, ::-1]  # a mirror image turns the winding, as the glTF specification says
+    piece = single(vertices @ linear.T + matrix[:3, 3], faces, normals, material)
+    piece.notes += notes
+    return piece
