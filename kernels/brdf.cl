@@ -7,9 +7,9 @@
 //
 //   ints, reals, tables   materials (brdf.clh)
 //   material              the one of this launch
-//   directions            4^(LEVELS+SUB) REAL4 of the local frame in Morton order: 4^SUB a cell
+//   directions            4^(LEVELS+SUB) REAL4 of the local frame in Morton order, 4^SUB a cell; w is the mean cosine
 //   views                 n_views REAL4, outgoing directions in the local frame
-//   dst                   n_views * CHANNELS rows of 4^LEVELS REALs
+//   dst                   rows of 4^LEVELS REALs, CHANNELS a slice; the launch writes slices first, first + 1, ...
 //   launch                4^LEVELS work-items in x, views in y
 //   work                  about 80 flops an evaluation (GGX), 4^SUB evaluations a work-item
 
@@ -36,7 +36,7 @@
 kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void brdf_slices(const global int *restrict ints, const global REAL *restrict reals,
                  const global REAL *restrict tables, const int material, const global REAL4 *restrict directions,
-                 const global REAL4 *restrict views, global REAL *restrict dst)
+                 const global REAL4 *restrict views, global REAL *restrict dst, const int first)
 {
     const int cell = (int)get_global_id(0);
     const size_t view = get_global_id(1);
@@ -46,11 +46,11 @@ void brdf_slices(const global int *restrict ints, const global REAL *restrict re
     REAL4 sum = (REAL4)((REAL)0);
     for (int i = 0; i < N_SAMPLES(SUB); ++i) {
         const REAL4 incident = directions[cell * N_SAMPLES(SUB) + i];
-        sum += incident.z * brdf(ints + material * MATERIAL_INTS, reals + material * MATERIAL_REALS, tables,
+        sum += incident.w * brdf(ints + material * MATERIAL_INTS, reals + material * MATERIAL_REALS, tables,
                                  incident, outgoing);
     }
     sum *= (REAL)1 / N_SAMPLES(SUB);
-    global REAL *out = dst + view * CHANNELS * N_SAMPLES(LEVELS) + cell;
+    global REAL *out = dst + (first + view) * CHANNELS * N_SAMPLES(LEVELS) + cell;
     out[0] = sum.x;
     if (CHANNELS == 3) {
         out[N_SAMPLES(LEVELS)] = sum.y;

@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 import tempfile
 import threading
+import warnings
+from collections.abc import Callable, Hashable
 from types import TracebackType
 from typing import Any
 
@@ -77,6 +79,7 @@ class Device:
         )
         self._pool = MemoryPool(ImmediateAllocator(self.queue))
         self._programs: dict[tuple[str, Defines], dict[str, Any]] = {}
+        self._constants: dict[Hashable, Any] = {}
         self._lock = threading.Lock()
 
     def __enter__(self) -> Device:
@@ -139,6 +142,12 @@ class Device:
             out.set(host, queue=self.queue)
         return out
 
+    def constant(self, key: Hashable, make: Callable[[], npt.ArrayLike]) -> Any:
+        """A device array that never changes, such as a table of directions: made and uploaded once."""
+        if key not in self._constants:
+            self._constants[key] = self.array(make())
+        return self._constants[key]
+
     # --- programs -------------------------------------------------------------------------------------------
 
     def kernels(self, file: str, **defines: int | float | str) -> dict[str, Any]:
@@ -160,9 +169,12 @@ class Device:
 
         source = expand(file)
         try:
-            program = cl.Program(self.context, source).build(
-                options=["-cl-std=CL1.2", *defines.options], devices=[self.handle]
-            )
+            with warnings.catch_warnings():
+                # Several drivers fill the log of every good build; a bad one raises below.
+                warnings.simplefilter("ignore", cl.CompilerWarning)
+                program = cl.Program(self.context, source).build(
+                    options=["-cl-std=CL1.2", *defines.options], devices=[self.handle]
+                )
         except cl.Error as error:
             handle, path = tempfile.mkstemp(prefix="prtcl-", suffix=".cl")
             with os.fdopen(handle, "w", encoding="utf-8") as dump:

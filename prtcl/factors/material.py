@@ -1,0 +1,276 @@
+"""Materials by name and number: `ggx:alpha=0.3,f0=0.04` and its like, checked and packed for the device."""
+
+from __future__ import annotations
+
+import math
+import zipfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from prtcl.errors import InputError
+
+KINDS = ("lambert", "ggx-conductor", "ggx-schlick", "blinn", "table")
+N_INTS, N_REALS = 4, 12
+"""Lengths of a material's rows on the device (kernels/brdf.clh)."""
+
+FORMS = (
+    "lambert:albedo=0.5 | ggx:alpha=0.3,eta=0.2,k=3.0 | ggx:alpha=0.3,f0=0.04[,kd=0.5] | "
+    "blinn:exponent=200,ks=0.5[,kd=0.1] | table:FILE.npz"
+)
+# Parameter: (lowest, highest, default; None must be given). Ranges that conserve energy or are physical.
+_PARAMETERS: dict[str, dict[str, tuple[float, float, float | None]]] = {
+    "lambert": {"albedo": (0.0, 1.0, 0.5)},
+    "ggx-conductor": {
+        "alpha": (1e-3, 1.0, None),
+        "eta": (1e-3, 100.0, None),
+        "k": (0.0, 100.0, None),
+        "kd": (0.0, 1.0, 0.0),
+    },
+    "ggx-schlick": {"alpha": (1e-3, 1.0, None), "f0": (0.0, 1.0, None), "kd": (0.0, 1.0, 0.0)},
+    "blinn": {"exponent": (0.0, 1e5, None), "ks": (0.0, 1.0, None), "kd": (0.0, 1.0, 0.0)},
+}
+_SCALARS = ("alpha", "exponent")
+
+
+@dataclass(frozen=True, eq=False)
+class Material:
+    """One BRDF: f in 1/sr per RGB channel; the cosine belongs to f_v, not to f.
+
+    Attributes
+    ----------
+    kind : one of `KINDS`
+    numbers : parameter to RGB triple (`alpha` and `exponent` to one number)
+    table : None, or {"values": (nh, nd, 3), "theta_h": (nh,), "theta_d": (nd,)} float64, angles in radians
+    spec : the text it came from, for messages and reports
+    notes : warnings for people, such as negative table entries set to zero
+    """
+
+    kind: str
+    numbers: dict[str, Any]
+    table: dict[str, npt.NDArray[np.float64]] | None = None
+    spec: str = ""
+    notes: tuple[str, ...] = ()
+
+    @classmethod
+    def parse(cls, spec: str | Material) -> Material:
+        """A material from its SPEC (see `FORMS`); a number may be r/g/b.
+
+        Raises
+        ------
+        InputError
+            Naming what in the SPEC is wrong, what was expected, and the forms there are.
+        """
+        if isinstance(spec, Material):
+            return spec
+        if not isinstance(spec, str):
+            raise InputError(f"brdf: expected a text such as 'lambert:albedo=0.5', got {spec!r}")
+        name, _, rest = spec.partition(":")
+        if name == "table":
+            return _read_table(rest, spec)
+        given = _assignments(spec, rest)
+        if name == "ggx":
+            if ("f0" in given) == ("eta" in given or "k" in given):
+                raise InputError(f"brdf {spec}: expected f0, or both eta and k\nforms: {FORMS}")
+            name = "ggx-schlick" if "f0" in given else "ggx-conductor"
+        if name not in _PARAMETERS:
+            raise InputError(f"brdf {spec}: unknown kind {name!r}\nforms: {FORMS}")
+        numbers: dict[str, Any] = {}
+        for parameter, (low, high, default) in _PARAMETERS[name].items():
+            text = given.pop(parameter, None)
+            if text is None and default is None:
+                raise InputError(f"brdf {spec}: {parameter} is missing\nforms: {FORMS}")
+            value = (default,) * 3 if text is None else _number(spec, parameter, text)
+            if not all(math.isfinite(v) and low <= v <= high for v in value):  # type: ignore[arg-type]
+                raise InputError(f"brdf {spec}: {parameter} expected from {low:g} to {high:g}, got {text}")
+            if parameter in _SCALARS and len(set(value)) > 1:
+                raise InputError(f"brdf {spec}: {parameter} expected one number, got {text}")
+            numbers[parameter] = value[0] if parameter in _SCALARS else value
+        if given:
+            known = ", ".join(_PARAMETERS[name])
+            raise InputError(
+                f"brdf {spec}: unknown parameter {next(iter(given))!r}; {name.split('-')[0]} knows {known}"
+            )
+        return cls(name, numbers, spec=spec)
+
+    @classmethod
+    def from_metallic_roughness(
+        cls, base_color: tuple[float, float, float], metallic: float, roughness: float
+    ) -> Material:
+        """glTF 2.0's metallic-roughness material (appendix B): α = roughness², F0 = mix(0.04, base, metallic)."""
+        f0 = tuple(0.04 * (1 - metallic) + metallic * min(1.0, c) for c in base_color)
+        kd = tuple((1 - metallic) * min(1.0, c) for c in base_color)
+        alpha = min(1.0, max(1e-3, roughness**2))
+        text = "/".join(f"{v:.4g}" for v in f0)
+        diffuse = "/".join(f"{v:.4g}" for v in kd)
+        return cls(
+            "ggx-schlick",
+            {"alpha": alpha, "f0": f0, "kd": kd},
+            spec=f"ggx:alpha={alpha:.4g},f0={text},kd={diffuse}",
+        )
+
+    @property
+    def grey(self) -> bool:
+        """Whether its three channels are the same."""
+        if self.table is not None:
+            values = self.table["values"]
+            return bool((values == values[..., :1]).all())
+        return all(len(set(v)) == 1 for v in self.numbers.values() if isinstance(v, tuple))
+
+    @property
+    def roughness(self) -> float:
+        """GGX α of a lobe about as wide as this material's sharpest; 1 for a diffuse one.
+
+        It decides how fine a hemisphere must be. Blinn's exponent n corresponds to α = √(2/(n + 2)) (Walter et
+        al. 2007, section 5); a table's lobe is taken where θ_h has fallen to half its peak, at which
+        tan θ_h = 0.644 α for GGX.
+        """
+        if self.kind.startswith("ggx"):
+            return float(self.numbers["alpha"])
+        if self.kind == "blinn":
+            return min(1.0, math.sqrt(2.0 / (self.numbers["exponent"] + 2.0)))
+        if self.table is not None:
+            return _table_roughness(self.table)
+        return 1.0
+
+    def reference(self) -> dict[str, object]:
+        """The same material as `prtcl.reference.brdf` takes it."""
+        if self.table is not None:
+            return {"kind": "table", **self.table}
+        return {"kind": self.kind.split("-")[0], **self.numbers}
+
+
+def pack(
+    materials: list[Material],
+) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    """Rows of ints and reals, and the tables one after another, as kernels/brdf.clh reads them.
+
+    Returns
+    -------
+    ints : (n, 4) int32; reals : (n, 12) float64; tables : (any,) float64, at least one entry
+    """
+    ints = np.zeros((len(materials), N_INTS), dtype=np.int32)
+    reals = np.zeros((len(materials), N_REALS))
+    tables: list[npt.NDArray[np.float64]] = []
+    offset = 0
+    for row, material in enumerate(materials):
+        numbers = material.numbers
+        ints[row, 0] = KINDS.index(material.kind)
+        reals[row, 0:3] = numbers.get("kd", numbers.get("albedo", 0.0))
+        reals[row, 3] = numbers.get("alpha", numbers.get("exponent", 0.0))
+        reals[row, 4:7] = numbers.get("f0", numbers.get("eta", numbers.get("ks", 0.0)))
+        reals[row, 7:10] = numbers.get("k", 0.0)
+        if material.table is not None:
+            parts = [material.table[key].ravel() for key in ("theta_h", "theta_d", "values")]
+            ints[row, 1:] = offset, parts[0].size, parts[1].size
+            tables += parts
+            offset += sum(part.size for part in parts)
+    return ints, reals, np.concatenate(tables) if tables else np.zeros(1)
+
+
+def _assignments(spec: str, text: str) -> dict[str, str]:
+    given: dict[str, str] = {}
+    for part in filter(None, text.split(",")):
+        key, equals, value = part.partition("=")
+        if not equals or not value:
+            raise InputError(f"brdf {spec}: expected name=number, got {part!r}\nforms: {FORMS}")
+        if key.strip() in given:
+            raise InputError(f"brdf {spec}: {key.strip()} is given twice")
+        given[key.strip()] = value.strip()
+    return given
+
+
+def _number(spec: str, parameter: str, text: str) -> tuple[float, ...]:
+    try:
+        value = tuple(float(part) for part in text.split("/"))
+    except ValueError:
+        value = ()
+    if len(value) not in (1, 3):
+        raise InputError(f"brdf {spec}: {parameter} expected a number or r/g/b, got {text!r}")
+    return value * 3 if len(value) == 1 else value
+
+
+def _read_table(path: str, spec: str) -> Material:
+    """values[nh, nd, 3], theta_h[nh], theta_d[nd] from an .npz."""
+    if not path:
+        raise InputError(f"brdf {spec}: expected table:FILE.npz")
+    try:
+        with np.load(Path(path), allow_pickle=False) as file:
+            found = {key: np.asarray(file[key]) for key in file.files}
+    except FileNotFoundError as error:
+        raise InputError(f"{path}: no such file") from error
+    except (OSError, ValueError, EOFError, zipfile.BadZipFile, AttributeError, TypeError) as error:
+        raise InputError(
+            f"{path}: expected a NumPy .npz with values, theta_h and theta_d; it cannot be read ({error})"
+        ) from error
+    missing = [key for key in ("values", "theta_h", "theta_d") if key not in found]
+    if missing:
+        there = ", ".join(found) or "nothing"
+        raise InputError(f"{path}: expected arrays values, theta_h and theta_d, found {there}")
+    return from_table(found["values"], found["theta_h"], found["theta_d"], name=path, spec=spec)
+
+
+def from_table(
+    values: npt.ArrayLike, theta_h: npt.ArrayLike, theta_d: npt.ArrayLike, *, name: str = "table", spec: str = ""
+) -> Material:
+    """A bivariate table f̃(θ_h, θ_d), bilinear between its nodes and clamped outside.
+
+    Parameters
+    ----------
+    values : (nh, nd, 3) or (nh, nd), 1/sr, finite; negative entries become 0 and are noted
+    theta_h, theta_d : (nh,), (nd,) node angles in radians, ascending, from 0 to π/2
+
+    Raises
+    ------
+    InputError
+        If shapes do not fit, or a value or an angle is not finite, or the nodes do not ascend.
+    """
+    try:
+        table = np.asarray(values, dtype=np.float64)
+        nodes = [np.asarray(theta_h, dtype=np.float64), np.asarray(theta_d, dtype=np.float64)]
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{name}: expected arrays of numbers ({error})") from error
+    if table.ndim == 2:
+        table = np.repeat(table[..., None], 3, axis=2)
+    if table.ndim != 3 or table.shape[2] != 3 or any(n.ndim != 1 or n.size < 1 for n in nodes):
+        raise InputError(f"{name}: expected values[nh, nd, 3] and two node lists, got values {table.shape}")
+    if table.shape[:2] != (nodes[0].size, nodes[1].size):
+        raise InputError(
+            f"{name}: values {table.shape} do not fit theta_h[{nodes[0].size}] and theta_d[{nodes[1].size}]"
+        )
+    for key, angles in zip(("theta_h", "theta_d"), nodes, strict=True):
+        if not np.isfinite(angles).all() or (np.diff(angles) <= 0).any():
+            raise InputError(f"{name}: {key} expected finite, strictly ascending angles in radians")
+        if angles[0] < 0 or angles[-1] > np.pi / 2 + 1e-6:
+            raise InputError(
+                f"{name}: {key} expected angles from 0 to pi/2 radians, got {angles[0]:g} to {angles[-1]:g}"
+                + ("; are they degrees?" if angles[-1] > 2 else "")
+            )
+    bad = ~np.isfinite(table)
+    if bad.any():
+        first = tuple(int(i) for i in np.argwhere(bad)[0])
+        raise InputError(f"{name}: {int(bad.sum())} values are NaN or infinite, the first at {first}")
+    notes: tuple[str, ...] = ()
+    negative = int((table < 0).sum())
+    if negative:
+        notes = (f"{name}: {negative} of {table.size} table values are negative; they are taken as 0",)
+    return Material(
+        "table",
+        {},
+        table={"values": np.maximum(table, 0.0), "theta_h": nodes[0], "theta_d": nodes[1]},
+        spec=spec or name,
+        notes=notes,
+    )
+
+
+def _table_roughness(table: dict[str, npt.NDArray[np.float64]]) -> float:
+    profile = table["values"].mean(axis=2)
+    sharpest = 1.0
+    for column in profile.T:
+        fallen = np.nonzero(column < 0.5 * column[0])[0]
+        if column[0] > 0 and fallen.size:
+            sharpest = min(sharpest, float(np.tan(min(table["theta_h"][fallen[0]], 1.5)) / 0.644))
+    return max(sharpest, 1e-3)

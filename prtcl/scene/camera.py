@@ -1,0 +1,128 @@
+"""The pinhole camera."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from prtcl.errors import InputError
+
+Triple = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A pinhole.
+
+    Parameters
+    ----------
+    eye, target : world positions
+    up : a direction that appears upwards
+    fov : horizontal field of view in degrees
+    size : width and height in pixels
+
+    Raises
+    ------
+    InputError
+        If eye and target coincide, `up` runs along the view, `fov` is not in (0, 180) or the size is not positive.
+    """
+
+    eye: Triple
+    target: Triple
+    up: Triple = (0.0, 1.0, 0.0)
+    fov: float = 40.0
+    size: tuple[int, int] = (512, 512)
+
+    def __post_init__(self) -> None:
+        for name in ("eye", "target", "up"):
+            value = np.asarray(getattr(self, name), dtype=np.float64)
+            if value.shape != (3,) or not np.isfinite(value).all():
+                raise InputError(f"{name}: expected three finite numbers, got {getattr(self, name)}")
+        if not 0.0 < self.fov < 180.0:
+            raise InputError(f"fov: expected degrees between 0 and 180, got {self.fov:g}")
+        if len(self.size) != 2 or min(self.size) < 1:
+            raise InputError(f"size: expected WIDTHxHEIGHT of at least 1x1, got {self.size}")
+        forward = np.subtract(self.target, self.eye)
+        if not np.linalg.norm(forward) > 0.0:
+            raise InputError(f"eye and target are the same point {tuple(self.eye)}; move one")
+        forward = forward / np.linalg.norm(forward)
+        length = np.linalg.norm(self.up)
+        if not length > 0.0 or np.linalg.norm(np.cross(forward, np.asarray(self.up) / length)) < 1e-6:
+            raise InputError(f"up: {tuple(self.up)} is zero or runs along the view; choose another")
+
+    @classmethod
+    def framing(
+        cls,
+        bounds: npt.NDArray[np.float64],
+        *,
+        eye: Triple | None = None,
+        target: Triple | None = None,
+        up: Triple = (0.0, 1.0, 0.0),
+        fov: float = 40.0,
+        size: tuple[int, int] = (512, 512),
+    ) -> Camera:
+        """A camera that sees the whole bounding box; a given eye or target is kept.
+
+        Without an eye it looks from the front right and somewhat above, as product shots do.
+        """
+        centre = bounds.mean(axis=0) if target is None else np.asarray(target, dtype=np.float64)
+        if eye is None:
+            across = np.tan(np.radians(fov) / 2) * min(1.0, size[1] / size[0])
+            distance = np.linalg.norm(bounds[1] - bounds[0]) / 2 / math.sin(math.atan(across))
+            vertical = np.asarray(up, dtype=np.float64) / max(float(np.linalg.norm(up)), 1e-300)
+            side = np.array([0.0, 0.0, 1.0]) if abs(vertical[2]) < 0.9 else np.array([0.0, -1.0, 0.0])
+            right = np.cross(vertical, side)
+            direction = 0.5 * right + 0.4 * vertical + side
+            eye = tuple(centre + distance * direction / np.linalg.norm(direction))
+        return cls(eye, tuple(centre), up, fov, size)  # type: ignore[arg-type]
+
+    def rays(self, x: npt.NDArray[np.float64], y: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        """World unit directions through image positions.
+
+        Parameters
+        ----------
+        x, y : (n,) in pixels from the left and from the top; pixel (i, j) covers [j, j + 1) × [i, i + 1)
+
+        Returns
+        -------
+        directions : (n, 3)
+        """
+        width, height = self.size
+        forward = np.subtract(self.target, self.eye)
+        forward = forward / np.linalg.norm(forward)
+        right = np.cross(forward, self.up)
+        right = right / np.linalg.norm(right)
+        above = np.cross(right, forward)
+        half = math.tan(math.radians(self.fov) / 2)
+        across = (2 * x / width - 1) * half
+        along = (1 - 2 * y / height) * half * height / width
+        directions = forward + across[:, None] * right + along[:, None] * above
+        return np.asarray(directions / np.linalg.norm(directions, axis=1, keepdims=True))
+
+
+def subpixel(index: npt.NDArray[np.int64]) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    """Place of the index-th point inside its pixel: a (0, 2)-sequence (van der Corput and Sobol' bit reversal).
+
+    The first N × N points, N a power of two, put exactly one into each cell of an N × N grid of the pixel, so
+    points may be added until a pixel is good enough and none is thrown away.
+
+    Returns
+    -------
+    x, y : (n,) in [0, 1)
+    """
+    i = np.asarray(index, dtype=np.uint32)
+    x, y = np.zeros_like(i), np.zeros_like(i)
+    column = np.uint32(1 << 31)
+    for bit in range(32):
+        on = (i >> np.uint32(bit)) & np.uint32(1)
+        x ^= on << np.uint32(31 - bit)
+        y ^= on * column
+        column ^= column >> np.uint32(1)
+    # Bit reversal alone puts the first point of every stratum into its corner: a picture shifted by an eighth of
+    # a pixel at four points. Flipping the bits 0010 0110 0110 … keeps the strata and moves each first point to
+    # within a tenth of a stratum of its centre, for 4, 16, 64 and 256 points alike.
+    centre = np.uint32(0x26666666)
+    return (x ^ centre) / 2.0**32, (y ^ centre) / 2.0**32

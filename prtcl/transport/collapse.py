@@ -1,0 +1,98 @@
+"""Light and visibility of each point collapsed once into reduced coefficients, L ⊕ V."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from prtcl import quadtree
+from prtcl.compute.device import Device
+from prtcl.factors import environment
+from prtcl.factors.environment import Light
+from prtcl.transport.settings import Settings
+from prtcl.wavelet import haar, triple
+
+GROUP = 64
+
+
+def visibility_coefficients(device: Device, bits: Any, rays: int, levels: int | None = None) -> Any:
+    """Haar coefficients of visibility, exact integer sums by popcount.
+
+    Parameters
+    ----------
+    bits : (n, words) uint32, host or device, of 4**rays directions
+    levels : of the coefficients, at least `rays` (the default)
+
+    Returns
+    -------
+    coefficients : device array (n, 1, 4**levels)
+    """
+    levels = rays if levels is None else levels
+    words = device.array(bits, np.uint32, name="bits")
+    count = words.shape[0]
+    top = max(0, rays - 3)
+    out = device.empty((count, 1, quadtree.n_samples(levels)))
+    means = device.empty((max(1, count << (2 * top)),))
+    kernel = device.kernels("visibility.cl", LEVELS=levels, BITS=rays, GROUP=GROUP)["visibility_coefficients"]
+    device.launch(kernel, count << (2 * top), GROUP, words, out, means, count)
+    if top:
+        haar.forward_from_means(device, means, top, out)
+    return out
+
+
+def reduced_coefficients(
+    device: Device,
+    light: Light,
+    bits: Any,
+    frames: npt.NDArray[np.float32],
+    settings: Settings,
+    channels: int = 3,
+) -> Any:
+    """L ⊕ V of every point: device array (n, channels, 4**keep), the levels below `settings.keep`.
+
+    Hard samples are not in it: `prtcl.transport.shade` adds them with the exact BRDF.
+
+    Parameters
+    ----------
+    bits : (n, words) uint32 visibility of 4**settings.rays directions
+    frames : (n, 3, 3) float32
+    """
+    levels, keep = settings.levels, settings.keep
+    soft = environment.gather(device, light, frames, channels=channels)
+    if settings.tree:
+        coefficients = haar.forward(device, soft)
+        seen = visibility_coefficients(device, bits, settings.rays, levels)
+        return triple.reduce(device, coefficients, seen, keep=keep)
+    words = device.array(bits, np.uint32, name="bits")
+    count = len(frames)
+    product = device.empty((count, channels, quadtree.n_samples(keep)))
+    kernel = device.kernels(
+        "product.cl", LEVELS=levels, BITS=settings.rays, KEEP=keep, CHANNELS=channels, GROUP=GROUP
+    )["masked_average"]
+    device.launch(kernel, quadtree.n_samples(keep), GROUP, soft, words, product, y=count * channels)
+    return haar.forward(device, product, scale=2.0 ** (levels - keep))
+
+
+def bytes_per_point(settings: Settings, channels: int, real: int) -> dict[str, int]:
+    """Bytes that each stage keeps on the device for one point.
+
+    Parameters
+    ----------
+    real : bytes of a stored number
+    """
+    samples, kept = quadtree.n_samples(settings.levels), quadtree.n_samples(settings.keep)
+    squares = quadtree.n_squares(settings.levels)
+    stages = {
+        "visibility_bits": 4 * quadtree.visibility_words(settings.rays),
+        "light_samples": channels * samples * real,
+        "reduced_coefficients": channels * kept * real,
+    }
+    if settings.tree:
+        stages["light_coefficients"] = channels * samples * real
+        stages["visibility_coefficients"] = samples * real
+        stages["parent_sums_and_energy"] = (2 * channels + 1) * squares * 8
+    else:
+        stages["product_samples"] = channels * kept * real
+    return stages

@@ -1,0 +1,147 @@
+"""From points to radiance: visibility, collapse, shade, in chunks that fit the device."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from prtcl.compute.chunks import chunk_size, chunks
+from prtcl.compute.device import Device
+from prtcl.factors.environment import Environment
+from prtcl.factors.material import Material
+from prtcl.factors.slices import Materials, ViewTable
+from prtcl.factors.visibility import Progress, Tracer
+from prtcl.transport import collapse, shade
+from prtcl.transport.settings import Settings
+
+
+@dataclass(frozen=True, eq=False)
+class Points:
+    """What radiance is computed at; nothing below the scene knows whether these are vertices or pixels.
+
+    Attributes
+    ----------
+    origins : (n, 3) float32 ray origins off the surface, in the tracer's coordinates
+    frames : (n, 3, 3) float32 world tangent, bitangent, normal as rows
+    views : (n, 3) float32 local outgoing directions
+    material : (n,) int32 index into the scene's materials
+    grid : (n,) int32 which place inside its cells each point's visibility rays take
+    polar : whether all views lie in the plane of tangent and normal
+    """
+
+    origins: npt.NDArray[np.float32]
+    frames: npt.NDArray[np.float32]
+    views: npt.NDArray[np.float32]
+    material: npt.NDArray[np.int32]
+    grid: npt.NDArray[np.int32]
+    polar: bool
+
+    def __len__(self) -> int:
+        return len(self.origins)
+
+    def __getitem__(self, part: slice | npt.NDArray[np.generic]) -> Points:
+        return Points(
+            self.origins[part], self.frames[part], self.views[part], self.material[part], self.grid[part],
+            self.polar,
+        )  # fmt: skip
+
+
+class Pipeline:
+    """One light and some materials, ready to shade any points on one device.
+
+    Parameters
+    ----------
+    device : where the kernels run
+    environment : the light; split into its soft and hard part here, once
+    materials : one or more, which `Points.material` indexes
+    settings : resolutions
+    polar : the kind of view table the points will need (`Points.polar`)
+    budget : bytes of device memory a chunk may take; None chooses
+
+    Notes
+    -----
+    What the scene does not need is left out: one channel where light or material is grey, slices only for the
+    materials in use, no hard-light rays where there is no hard light, none below a point's horizon.
+    """
+
+    def __init__(
+        self,
+        device: Device,
+        environment: Environment,
+        materials: list[Material],
+        settings: Settings,
+        *,
+        polar: bool = True,
+        budget: int | None = None,
+    ) -> None:
+        self.device, self.settings, self.budget = device, settings, budget
+        with device.profile.host("split_light"):
+            self.light = environment.split(settings.levels, settings.hard)
+        self.materials = Materials(device, materials)
+        self.channels = 1 if self.light.grey else 3
+        self.table = ViewTable.make(polar, settings.views)
+        slices = self.materials.slices(self.table.views, settings.keep)
+        self._slices = slices.reshape(-1, self.materials.channels, 4**settings.keep)
+        for stage, count in self.bytes_per_point().items():
+            device.profile.per_point(stage, count)
+
+    def bytes_per_point(self) -> dict[str, int]:
+        """Device bytes a point by stage."""
+        real = np.dtype(self.device.dtype).itemsize
+        stages = collapse.bytes_per_point(self.settings, self.channels, real)
+        stages["frames_views_radiance"] = (2 * 9 + 4 + 4) * real + 4
+        stages["view_weights"] = (4 + real) * (2 if self.table.polar else 4)
+        stages["hard_light_bits"] = 4 * ((len(self.light.hard) + 31) // 32)
+        return stages
+
+    def visibility(
+        self, tracer: Tracer, points: Points, progress: Progress | None = None
+    ) -> npt.NDArray[np.uint32]:
+        """Visibility bits of the points at `settings.rays`: (n, words) uint32."""
+        with self.device.profile.host("visibility_rays"):
+            return tracer.visibility(
+                points.origins, points.frames, self.settings.rays, points.grid, progress=progress
+            )
+
+    def radiance(
+        self, tracer: Tracer, points: Points, bits: npt.NDArray[np.uint32] | None = None,
+        progress: Progress | None = None,
+    ) -> npt.NDArray[np.float32]:  # fmt: skip
+        """Outgoing radiance of every point: (n, 3), linear RGB.
+
+        Parameters
+        ----------
+        bits : visibility as `visibility` returns it; None traces it
+        progress : called with the number of points done
+        """
+        stages = self.bytes_per_point()
+        size = chunk_size(self.device, sum(stages.values()), max(stages.values()), self.budget)
+        out = np.empty((len(points), 3), dtype=self.device.dtype)
+        for part in chunks(len(points), size):
+            some = points[part]
+            seen = self.visibility(tracer, some, progress) if bits is None else bits[part]
+            out[part] = self._chunk(tracer, some, seen)
+            if bits is not None and progress is not None:
+                progress(len(some))
+        return out
+
+    def _chunk(
+        self, tracer: Tracer, points: Points, bits: npt.NDArray[np.uint32]
+    ) -> npt.NDArray[np.floating]:
+        device, light = self.device, self.light
+        reduced = collapse.reduced_coefficients(
+            device, light, bits, points.frames, self.settings, self.channels
+        )
+        index, weight = self.table.locate(points.views)
+        index += points.material[:, None] * np.int32(len(self.table.views))
+        out = shade.soft_radiance(device, reduced, self._slices, index, weight, self.settings.levels)
+        if len(light.hard):
+            with device.profile.host("hard_light_rays"):
+                seen = tracer.light_visibility(points.origins, points.frames[:, 2], light.hard[:, :3])
+            shade.add_hard_radiance(
+                device, self.materials, light, seen, points.material, points.frames, points.views, out
+            )
+        with device.profile.host("wait_for_device"):
+            return np.asarray(out.get()[:, :3])

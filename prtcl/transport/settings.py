@@ -1,0 +1,83 @@
+"""How finely a job is computed, and what was chosen for it and why."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from prtcl import quadtree
+from prtcl.errors import InputError
+from prtcl.factors.material import Material
+
+METHODS = ("auto", "pixel", "tree")
+HARD = ("auto", "off")
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Resolutions of the three factors.
+
+    Attributes
+    ----------
+    levels : light and the product L ⊕ V live on 4**levels directions
+    rays : visibility is traced on 4**rays directions, rays ≤ levels
+    keep : levels of the product that are kept, and of f_v, keep ≤ levels; the finer ones still enter the
+        product (multiply fine, keep coarse)
+    views : stored view angles (frames turned to the viewer) or nodes a side (fixed frames)
+    method : the product in the "pixel" domain or through the "tree"; "auto" takes the pixel domain, which was
+        faster on dense light on every device measured (bench/reduce.py) and is the better conditioned one
+    hard : "auto" takes hard light out of the map, "off" leaves it in
+    """
+
+    levels: int = 5
+    rays: int = 5
+    keep: int = 5
+    views: int = 128
+    method: str = "auto"
+    hard: str = "auto"
+
+    def __post_init__(self) -> None:
+        for name in ("levels", "rays", "keep"):
+            value = getattr(self, name)
+            if not 1 <= value <= quadtree.MAX_LEVELS:
+                raise InputError(f"{name}: expected 1 to {quadtree.MAX_LEVELS}, got {value}")
+        if self.rays > self.levels or self.keep > self.levels:
+            raise InputError(
+                f"rays and keep: expected at most levels = {self.levels}, got {self.rays} and {self.keep}"
+            )
+        if self.method not in METHODS:
+            raise InputError(f"method: expected one of {', '.join(METHODS)}, got {self.method!r}")
+        if self.hard not in HARD:
+            raise InputError(f"hard-light: expected one of {', '.join(HARD)}, got {self.hard!r}")
+
+    @property
+    def tree(self) -> bool:
+        """Whether the product goes through the quadtree."""
+        return self.method == "tree"
+
+    def with_defaults(self, **given: int | str | None) -> Settings:
+        """These settings with what a user fixed by hand; None leaves a value as it is.
+
+        A user who gives `levels` alone means the other two as well, as far as they fit.
+        """
+        fixed = {name: value for name, value in given.items() if value is not None}
+        if "levels" in fixed:
+            for name in ("rays", "keep"):
+                fixed.setdefault(name, min(getattr(self, name), int(fixed["levels"])))
+        return replace(self, **fixed)  # type: ignore[arg-type]
+
+
+def choose(materials: list[Material]) -> tuple[Settings, str]:
+    """Settings for the sharpest of some materials, and the reason in words.
+
+    The table is the one the acceptance runs of bench/accuracy.py found to hold 1 % for α ≥ 0.25 and 3 % down
+    to α = 0.08 on every scene tried.
+    """
+    sharpest = min(materials, key=lambda m: m.roughness)
+    alpha = sharpest.roughness
+    if alpha >= 0.25:
+        settings = Settings(levels=5, rays=5, keep=5, views=128)
+    elif alpha >= 0.08:
+        settings = Settings(levels=6, rays=5, keep=6, views=256)
+    else:
+        settings = Settings(levels=7, rays=6, keep=7, views=512)
+    return settings, f"sharpest material {sharpest.spec} (lobe as wide as GGX alpha {alpha:.3g})"
