@@ -18,6 +18,7 @@
 #include "quadtree.clh"
 #include "hemisphere.clh"
 #include "frame.clh"
+#include "cube.clh"
 
 // Problem constants
 #ifndef LEVELS
@@ -34,26 +35,6 @@
 #ifndef GROUP
   #define GROUP 64      // work-items a group
 #endif
-
-// Bilinear in the face of the largest component; the border makes faces meet.
-inline REAL4 cube_lookup(const global REAL4 *cube, const int face, const REAL4 d)
-{
-    const REAL ax = fabs(d.x), ay = fabs(d.y), az = fabs(d.z);
-    const int x_major = (ax >= ay) && (ax >= az), y_major = !x_major && (ay >= az);
-    const REAL major = x_major ? d.x : (y_major ? d.y : d.z);
-    const REAL along = x_major ? d.y : (y_major ? d.z : d.x);
-    const REAL across = x_major ? d.z : (y_major ? d.x : d.y);
-    const int which = (x_major ? 0 : (y_major ? 2 : 4)) + (major < (REAL)0);
-    const REAL half_face = (REAL)0.5 * face;
-    const REAL scale = half_face / fabs(major);
-    const REAL s = along * scale + (half_face + (REAL)0.5), t = across * scale + (half_face + (REAL)0.5);
-    const int i = min((int)s, face), j = min((int)t, face);
-    const REAL fs = s - i, ft = t - j;
-    const global REAL4 *at = cube + ((size_t)which * (face + 2) + j) * (face + 2) + i;
-    const REAL4 near = at[0] + fs * (at[1] - at[0]);
-    const REAL4 far = at[face + 2] + fs * (at[face + 3] - at[face + 2]);
-    return near + ft * (far - near);
-}
 
 kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void environment_gather(const global REAL4 *restrict cube, const int face, const global REAL4 *restrict directions,
@@ -85,7 +66,7 @@ void environment_splat(const global REAL4 *restrict lights, const int n_lights, 
     const size_t point = get_global_id(0);
     if (point >= (size_t)n_points)
         return;
-    const REAL density = (REAL)N_SAMPLES(LEVELS) * (REAL)(0.5f * M_1_PI_F);     // 1 / cell's solid angle
+    const REAL density = (REAL)N_SAMPLES(LEVELS) * ((REAL)0.5 * INV_PI);     // 1 / cell's solid angle
     global REAL *out = dst + point * CHANNELS * N_SAMPLES(LEVELS);
     for (int l = 0; l < n_lights; ++l) {
         const REAL4 d = to_local(frames + 9 * point, lights[2 * l]);

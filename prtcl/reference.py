@@ -319,7 +319,9 @@ def _table(material: dict[str, object], theta_h: Array, theta_d: Array) -> Array
     )
 
 
-def slice_samples(material: dict[str, object], view: npt.ArrayLike, levels: int, supersample: int = 1) -> Array:
+def slice_samples(
+    material: dict[str, object], view: npt.ArrayLike, levels: int, supersample: int = 1
+) -> Array:
     """f_v with the cosine, averaged over each cell of the hemisphere: (4**levels, 3), Morton order.
 
     `supersample` levels finer samples are averaged per cell: 4**supersample a cell.

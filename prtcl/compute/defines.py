@@ -32,7 +32,7 @@ class Defines:
 
     @staticmethod
     def _format(name: str, value: int | float | str) -> str:
-        if not _NAME.match(name):
+        if not _NAME.fullmatch(name):
             raise ValueError(f"define {name}: expected an UPPER_CASE name")
         if isinstance(value, bool):
             return str(int(value))
@@ -40,7 +40,7 @@ class Defines:
             return str(value)
         if isinstance(value, float):
             return value.hex()
-        if isinstance(value, str) and _WORD.match(value):
+        if isinstance(value, str) and _WORD.fullmatch(value):
             return value
         raise ValueError(f"define {name}: expected a number or one C word, got {value!r}")
 

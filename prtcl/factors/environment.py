@@ -22,10 +22,13 @@ from prtcl.errors import InputError
 from prtcl.factors import hardlight, hemisphere
 
 GROUP = 64
+SUB = 0
+"""Levels of subsamples a cell is averaged over. The cube is filtered to the cell's own size, so one look-up is
+its average; four of a cube twice as fine gave the same error (bench/mitsuba.py) for four times the work."""
 HARD_LEVELS = 6
 """The grid whose cells the threshold is set for: a cell of it may hold at most `HARD_SHARE` of the mean
 irradiance, so that its place inside the cell cannot matter more than that."""
-HARD_SHARE = 0.02
+HARD_SHARE = 0.005
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,7 +150,7 @@ class Light:
     to_map: npt.NDArray[np.float64]
     levels: int
     hard_share: float
-    _buffers: dict[int, tuple[Any, Any]] = field(default_factory=dict, repr=False)
+    _buffers: dict[Device, tuple[Any, Any]] = field(default_factory=dict, repr=False)
 
     @property
     def grey(self) -> bool:
@@ -157,17 +160,17 @@ class Light:
 
     def buffers(self, device: Device) -> tuple[Any, Any]:
         """Cube and hard samples (k, 2, 4) on the device, uploaded once."""
-        if id(device) not in self._buffers:
+        if device not in self._buffers:
             lights = np.zeros((max(1, len(self.hard)), 2, 4))
             if len(self.hard):
                 lights[:, 0, :3], lights[:, 1, :3] = self.hard[:, :3], self.hard[:, 3:]
-            self._buffers[id(device)] = (device.array(self.cube), device.array(lights))
-        return self._buffers[id(device)]
+            self._buffers[device] = (device.array(self.cube), device.array(lights))
+        return self._buffers[device]
 
 
 def cube_face(levels: int) -> int:
-    """Texels along a cube's face whose spacing is that of 4**(levels + 1) samples of a hemisphere."""
-    return math.ceil(2.0 / math.sqrt(2 * np.pi / 4.0 ** (levels + 1)))
+    """Texels along a cube's face whose spacing is that of the look-ups, 4**(levels + SUB) a hemisphere."""
+    return math.ceil(2.0 / math.sqrt(2 * np.pi / 4.0 ** (levels + SUB)))
 
 
 def _cube_coordinates(
@@ -245,19 +248,29 @@ def gather(
     samples : device array (n, channels, 4**levels) in Morton order
     """
     cube, hard = light.buffers(device)
-    host = frames.get() if hasattr(frames, "base_data") else np.asarray(frames)
-    count, levels = len(host), light.levels
-    map_frames = device.array(host.reshape(-1, 3, 3) @ light.to_map.T)
+    levels, count = light.levels, len(frames)
+    map_frames = frames_on_map(device, light, frames)
     out = device.empty((count, channels, 4**levels)) if out is None else out
-    kernels = device.kernels("environment.cl", LEVELS=levels, CHANNELS=channels, SUB=1, GROUP=GROUP)
-    directions = device.constant(("directions", levels + 1), lambda: hemisphere.directions(levels + 1))
+    kernels = device.kernels("environment.cl", LEVELS=levels, CHANNELS=channels, SUB=SUB, GROUP=GROUP)
+    directions = look_up_directions(device, levels)
     face = cube.shape[1] - 2
     device.launch(
         kernels["environment_gather"], 4**levels, GROUP, cube, face, directions, map_frames, out, y=count
     )
     if splat_hard and len(light.hard):
-        world_frames = device.array(host)
+        world_frames = device.array(frames)
         device.launch(
             kernels["environment_splat"], count, GROUP, hard, len(light.hard), world_frames, out, count
         )
     return out
+
+
+def frames_on_map(device: Device, light: Light, frames: Any) -> Any:
+    """World frames (n, 3, 3) turned onto the map's axes, on the device."""
+    host = frames.get() if hasattr(frames, "base_data") else np.asarray(frames)
+    return device.array(host.reshape(-1, 3, 3) @ light.to_map.T)
+
+
+def look_up_directions(device: Device, levels: int) -> Any:
+    """Local directions of the look-ups, (4**(levels + SUB), 4) on the device."""
+    return device.constant(("directions", levels + SUB), lambda: hemisphere.directions(levels + SUB))

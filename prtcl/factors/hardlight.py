@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 Array = npt.NDArray[np.float64]
 
-MAX_SAMPLES = 256
+MAX_SAMPLES = 512
 REFINE = 4
 """Subtexels along each side of a bright texel: a sun of two texels still has a round penumbra."""
 SPREAD = 0.005
@@ -64,9 +64,7 @@ def subtexels(
         2 * np.pi / (width * refine)
     )
     theta, phi = np.pi * y / height, 2 * np.pi * x / width
-    directions = np.stack(
-        [np.sin(theta) * np.sin(phi), np.cos(theta), -np.sin(theta) * np.cos(phi)], axis=1
-    )
+    directions = np.stack([np.sin(theta) * np.sin(phi), np.cos(theta), -np.sin(theta) * np.cos(phi)], axis=1)
     # Bilinear between texel centres, columns wrapping, rows clamped at the poles.
     fx, fy = x - 0.5, np.clip(y - 0.5, 0.0, height - 1.0)
     x0, y0 = np.floor(fx).astype(np.int64), np.floor(fy).astype(np.int64)

@@ -214,7 +214,12 @@ def _read_table(path: str, spec: str) -> Material:
 
 
 def from_table(
-    values: npt.ArrayLike, theta_h: npt.ArrayLike, theta_d: npt.ArrayLike, *, name: str = "table", spec: str = ""
+    values: npt.ArrayLike,
+    theta_h: npt.ArrayLike,
+    theta_d: npt.ArrayLike,
+    *,
+    name: str = "table",
+    spec: str = "",
 ) -> Material:
     """A bivariate table f̃(θ_h, θ_d), bilinear between its nodes and clamped outside.
 

@@ -67,11 +67,22 @@ class Materials:
                 ("directions", levels + depth), lambda d=depth: hemisphere.directions(levels + d)
             )
             device.launch(
-                kernel, 4**levels, GROUP, *self.arguments, index, cells, towards, samples, index * count, y=count
+                kernel,
+                4**levels,
+                GROUP,
+                *self.arguments,
+                index,
+                cells,
+                towards,
+                samples,
+                index * count,
+                y=count,
             )
         return haar.forward(device, samples)
 
-    def evaluate(self, index: int, incident: npt.ArrayLike, outgoing: npt.ArrayLike) -> npt.NDArray[np.float64]:
+    def evaluate(
+        self, index: int, incident: npt.ArrayLike, outgoing: npt.ArrayLike
+    ) -> npt.NDArray[np.float64]:
         """f of material `index` for pairs of local directions, without the cosine: (n, 3), 1/sr."""
         first, second = np.broadcast_arrays(np.atleast_2d(incident), np.atleast_2d(outgoing))
         pairs = np.zeros((2, len(first), 4))

@@ -154,6 +154,7 @@ class Tracer:
         origins: npt.NDArray[np.float32],
         normals: npt.NDArray[np.floating],
         lights: npt.NDArray[np.floating],
+        progress: Progress | None = None,
     ) -> npt.NDArray[np.uint32]:
         """Which of some world directions each point sees; those below its horizon are not traced.
 
@@ -176,6 +177,8 @@ class Tracer:
             point, light = np.nonzero(visible)
             visible[point, light] = ~self.occluded(origins[part][point], towards[light])
             bits[part] = _pack(visible, words)
+            if progress is not None:
+                progress(part.stop - part.start)
 
         _in_parallel(run, len(origins), max(1, RAYS_PER_TASK // max(1, count)))
         return bits

@@ -83,10 +83,23 @@ class Bake:
         except FileNotFoundError as error:
             raise InputError(f"{name}: no such file") from error
         except (OSError, ValueError, EOFError, zipfile.BadZipFile, AttributeError, TypeError) as error:
-            raise InputError(f"{name}: cannot be read as a bake ({error}); make it again: prtcl bake") from error
-        missing = {"format", "vertices", "faces", "normals", "parts", "materials", "rays", "bits"} - data.keys()
+            raise InputError(
+                f"{name}: cannot be read as a bake ({error}); make it again: prtcl bake"
+            ) from error
+        missing = {
+            "format",
+            "vertices",
+            "faces",
+            "normals",
+            "parts",
+            "materials",
+            "rays",
+            "bits",
+        } - data.keys()
         if missing:
-            raise InputError(f"{name}: is no bake: {', '.join(sorted(missing))} missing; make one: prtcl bake")
+            raise InputError(
+                f"{name}: is no bake: {', '.join(sorted(missing))} missing; make one: prtcl bake"
+            )
         if int(data["format"]) != FORMAT:
             raise InputError(
                 f"{name}: a bake of format {int(data['format'])}; this prtcl reads format {FORMAT}: bake it again"
@@ -94,7 +107,9 @@ class Bake:
         rays = int(data["rays"])
         expected = (len(data["vertices"]), quadtree.visibility_words(rays) if 1 <= rays <= 9 else -1)
         if data["bits"].shape != expected or data["bits"].dtype != np.uint32:
-            raise InputError(f"{name}: bits expected {expected} uint32, got {data['bits'].shape}: bake it again")
+            raise InputError(
+                f"{name}: bits expected {expected} uint32, got {data['bits'].shape}: bake it again"
+            )
         materials = tuple(
             None if np.isnan(row).any() else PartMaterial("", tuple(row[:3]), float(row[3]), float(row[4]))
             for row in data["materials"]

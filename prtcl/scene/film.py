@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import numpy.typing as npt
+
+from prtcl.scene.camera import subpixel
 
 Array = npt.NDArray[np.float64]
 
@@ -15,6 +19,10 @@ class Film:
     """Sums of radiance by pixel; a pixel is the box average of its sub-pixel points.
 
     Colour is premultiplied by coverage: a point that misses the mesh counts as black and transparent.
+
+    Parameters
+    ----------
+    size : width and height
     """
 
     def __init__(self, size: tuple[int, int]) -> None:
@@ -23,62 +31,78 @@ class Film:
         self.points = np.zeros(count, dtype=np.int64)
         self._sum = np.zeros((count, 3))
         self._hits = np.zeros(count)
-        self._square = np.zeros(count)
+        self._variance = np.zeros(count)
 
     def add(
-        self, pixel: npt.NDArray[np.int64], hit: npt.NDArray[np.int64], radiance: npt.NDArray[np.floating]
+        self,
+        pixels: npt.NDArray[np.int64],
+        first: int,
+        last: int,
+        hit: npt.NDArray[np.int64],
+        radiance: npt.NDArray[np.floating],
     ) -> None:
-        """Add points: `pixel` (n,) of all of them, of which `hit` (m,) saw the mesh with `radiance` (m, 3)."""
-        count = len(self.points)
-        self.points += np.bincount(pixel, minlength=count)
-        at = pixel[hit]
-        self._hits += np.bincount(at, minlength=count)
-        for c in range(3):
-            self._sum[:, c] += np.bincount(at, radiance[:, c], count)
-        grey = np.asarray(radiance, dtype=np.float64).mean(axis=1)
-        self._square += np.bincount(at, grey**2, count)
+        """Add points first … last − 1 of each of some pixels.
 
-    def image(self) -> npt.NDArray[np.float32]:
-        """(h, w, 4) float32 premultiplied linear RGBA."""
-        n = np.maximum(self.points, 1)[:, None]
-        rgba = np.concatenate([self._sum, self._hits[:, None]], axis=1) / n
-        return np.asarray(rgba.reshape(self.height, self.width, 4), dtype=np.float32)
+        Parameters
+        ----------
+        pixels : (k,) flat indices, all with `first` points so far
+        hit : (m,) which of the k (last − first) points, pixel by pixel, saw the mesh
+        radiance : (m, 3) of those
+        """
+        each = last - first
+        values = np.zeros((len(pixels) * each, 4))
+        values[hit, :3], values[hit, 3] = radiance, 1.0
+        by_pixel = values.reshape(len(pixels), each, 4)
+        sums = by_pixel.sum(axis=1)
+        self._sum[pixels] += sums[:, :3]
+        self._hits[pixels] += sums[:, 3]
+        self.points[pixels] += each
+        self._variance[pixels] = _local_variance(by_pixel[..., :3].mean(axis=2), first, last) / last
 
-    def covered(self) -> npt.NDArray[np.bool_]:
-        """(pixels,) whether any point of a pixel saw the mesh."""
-        return self._hits > 0
+    def mean(self) -> Array:
+        """(pixels, 3) premultiplied radiance."""
+        return np.asarray(self._sum / np.maximum(self.points, 1)[:, None])
+
+    def coverage(self) -> Array:
+        """(pixels,) the share of points that saw the mesh."""
+        return np.asarray(self._hits / np.maximum(self.points, 1))
 
     def variance(self) -> Array:
-        """(pixels,) estimated squared error of each pixel's grey mean: that of independent points.
+        """(pixels,) estimated squared error of each pixel's grey mean.
 
-        Points are stratified, so the true error is smaller; a pixel also takes a quarter of the largest
-        estimate among its neighbours, for what its own first points may have missed.
+        A pixel takes a quarter of the largest estimate among its neighbours if that is more, for what its own
+        first points may have missed.
         """
-        n = np.maximum(self.points, 1)
-        mean = self._sum.mean(axis=1) / n
-        own = np.maximum(self._square / n - mean**2, 0.0) / np.maximum(n - 1, 1)
-        grid = np.pad(own.reshape(self.height, self.width), 1)
+        grid = np.pad(self._variance.reshape(self.height, self.width), 1)
         around = np.max(
             [grid[i : i + self.height, j : j + self.width] for i in range(3) for j in range(3)], axis=0
         )
-        return np.maximum(own, 0.25 * around.ravel())
+        return np.maximum(self._variance, 0.25 * around.ravel())
 
-    def error(self) -> float:
-        """Estimated relative RMSE over the covered pixels of having finitely many points."""
-        covered = self.covered()
-        if not covered.any():
-            return 0.0
-        mean = (self._sum.mean(axis=1) / np.maximum(self.points, 1))[covered].mean()
-        return float(np.sqrt(self.variance()[covered].mean()) / mean) if mean > 0 else 0.0
-
-    def worst(self, target: float) -> npt.NDArray[np.int64]:
-        """The fewest pixels, largest estimated error first, whose repair brings `error` to `target`."""
-        covered = self.covered()
-        if not covered.any():
-            return np.zeros(0, dtype=np.int64)
-        mean = (self._sum.mean(axis=1) / np.maximum(self.points, 1))[covered].mean()
+    def worst(self, allowed: float) -> npt.NDArray[np.int64]:
+        """The fewest pixels, largest estimate first, whose repair leaves a sum of `variance` below `allowed`."""
         variance = self.variance()
         order = np.argsort(-variance, kind="stable")
         left = np.cumsum(variance[order][::-1])[::-1]  # what stays if the pixels before this one are repaired
-        needed = int(np.searchsorted(-left, -((target * mean) ** 2 * covered.sum()), side="left"))
-        return np.sort(order[:needed])
+        return np.sort(order[: int(np.searchsorted(-left, -allowed, side="left"))])
+
+
+def _local_variance(values: Array, first: int, last: int) -> Array:
+    """Variance of points (pixels, last − first) within the blocks of the pixel in which they are stratified.
+
+    Of the first 4 n points of the (0, 2)-sequence, n = 4**k, each block of the √n × √n grid holds four, three
+    of them among the later 3 n. Their variance inside the block, over 4 n, bounds the error of the stratified
+    mean (each point has a quarter of the block to itself); the variance over the whole pixel would be many
+    times that.
+    """
+    each = last - first
+    blocks = last // 4
+    side = math.isqrt(blocks)
+    nested = last == 4 * side * side and side & (side - 1) == 0 and first in (0, blocks)
+    if each < 2:
+        return np.zeros(len(values))
+    if not nested:
+        return np.asarray(values.var(axis=1, ddof=1))
+    x, y = subpixel(np.arange(first, last))
+    order = np.argsort((y * side).astype(np.int64) * side + (x * side).astype(np.int64), kind="stable")
+    return np.asarray(values[:, order].reshape(len(values), blocks, -1).var(axis=2, ddof=1).mean(axis=1))

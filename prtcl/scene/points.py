@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from prtcl.errors import InputError
 from prtcl.factors import hemisphere
 from prtcl.factors.visibility import Tracer
 from prtcl.scene.camera import Camera, subpixel
@@ -34,9 +35,7 @@ class Hits:
     towards: Array
 
 
-def shoot(
-    tracer: Tracer, camera: Camera, pixel: npt.NDArray[np.int64], sub: npt.NDArray[np.int64]
-) -> Hits:
+def shoot(tracer: Tracer, camera: Camera, pixel: npt.NDArray[np.int64], sub: npt.NDArray[np.int64]) -> Hits:
     """Primary rays through sub-pixel points: pixel (flat index, row by row) and number within the pixel."""
     width = camera.size[0]
     dx, dy = subpixel(sub)
@@ -47,6 +46,41 @@ def shoot(
     uv = uv[ray]
     barycentric = np.stack([1 - uv.sum(axis=1), uv[:, 0], uv[:, 1]], axis=1)
     return Hits(ray, face[ray], barycentric, -directions[ray])
+
+
+def check_eye(tracer: Tracer, mesh: Mesh, camera: Camera) -> None:
+    """Refuse a camera that cannot give a picture, before any hemisphere is traced.
+
+    Raises
+    ------
+    InputError
+        If no pixel sees the mesh, or the eye is inside it: every ray in all directions meets a surface from
+        behind. (A room whose walls face inwards, or any opening, is a fine place for an eye.)
+    """
+    width, height = camera.size
+    pixels = np.arange(width * height)
+    if not any(
+        len(shoot(tracer, camera, part, np.zeros_like(part)).ray) for part in np.array_split(pixels, 16)
+    ):
+        raise InputError(
+            f"the camera at {_text(camera.eye)} towards {_text(camera.target)} sees nothing of the mesh, which lies "
+            f"in {_text(mesh.bounds[0])} to {_text(mesh.bounds[1])}\nmove --eye or --target"
+        )
+    upper = hemisphere.directions(4)[:, :3].astype(np.float64)
+    around = np.concatenate([upper, -upper])
+    face, _ = tracer.intersect(
+        np.broadcast_to(np.asarray(camera.eye, dtype=np.float64), around.shape), around
+    )
+    if (face >= 0).all():
+        normals = face_normals(mesh, mesh.faces[face])
+        if (np.sum(normals * around, axis=1) > 0.0).mean() > 0.99:
+            raise InputError(
+                f"the camera at {_text(camera.eye)} is inside the mesh: no light gets there\nmove --eye"
+            )
+
+
+def _text(position: npt.ArrayLike) -> str:
+    return "(" + " ".join(f"{float(x):g}" for x in np.asarray(position)) + ")"
 
 
 def face_normals(mesh: Mesh, faces: npt.NDArray[np.int32]) -> Array:

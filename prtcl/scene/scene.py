@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -22,20 +22,26 @@ from prtcl.scene.bake import Bake
 from prtcl.scene.camera import Camera
 from prtcl.scene.film import FIRST, Film
 from prtcl.scene.mesh import Mesh, read_mesh
-from prtcl.scene.points import Hits, pixel_points, shoot, vertex_points, with_eye
-from prtcl.transport.pipeline import Pipeline, Points
+from prtcl.scene.points import check_eye, shoot
+from prtcl.scene.shaders import Counter, Layer, Notify, PixelShader, Shader, VertexShader
+from prtcl.transport.pipeline import Pipelines, Points
 from prtcl.transport.settings import Settings, choose
 
 BATCH = 1 << 17
 """Sub-pixel points in flight: bounds the host's memory whatever the image's size."""
 MOST = 256
 """Points that an adaptive pixel may end with: 16 × 16."""
-PIXEL_ERROR = 0.005
-"""Relative RMSE that adaptive sampling aims its (pessimistic) estimate at."""
+MOST_HARD = 1024
+"""The same for hard light alone: 32 × 32."""
+
+PER_POINT = (
+    "visibility_rays", "hard_light_rays", "environment_gather", "light_times_visibility", "haar_forward",
+    "visibility_coefficients", "parent_sums", "triple_accumulate", "inner_product", "shade_lights",
+)  # fmt: skip
+"""Stages whose work is proportional to the points."""
 
 Path = str | os.PathLike[str]
 Report = dict[str, Any]
-Notify = Callable[[int, int], object]
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,8 +90,8 @@ class Scene:
     ----------
     mesh : a `Mesh`, a path to OBJ, PLY, STL, GLB or glTF, or a `Bake` or a path to one (.npz)
     light : an `Environment`, a path to an EXR or HDR map, or an array (h, 2 h, 3)
-    material : a SPEC (`prtcl.factors.material.FORMS`), a `Material`, or None for the mesh's own glTF materials
-        (lambert of albedo 0.5 where it names none)
+    material : a SPEC (`prtcl.factors.material.FORMS`) or a `Material`; a list of one for each part of the mesh;
+        or None for the mesh's own glTF materials (lambert of albedo 0.5 where it names none)
     camera : None frames the mesh
     device : None chooses one
     two_sided : seen from behind, a surface's normal is turned to the viewer
@@ -101,7 +107,7 @@ class Scene:
         self,
         mesh: Mesh | Bake | Path,
         light: Environment | Path | npt.NDArray[Any],
-        material: str | Material | None = None,
+        material: str | Material | Sequence[str | Material] | None = None,
         camera: Camera | None = None,
         *,
         device: Device | None = None,
@@ -118,18 +124,33 @@ class Scene:
         self.mesh = mesh.smooth() if smooth and self.bake is None else mesh
         self.environment, self.notes = read_environment(light)
         self.notes = [*self.mesh.notes, *self.notes]
-        self.materials = own_materials(self.mesh) if material is None else [Material.parse(material)]
-        self._one_material = material is not None
+        if isinstance(material, str | Material):
+            self.materials, self._one_material = [Material.parse(material)], True
+        else:
+            own = own_materials(self.mesh) if material is None else [Material.parse(m) for m in material]
+            if len(own) != len(self.mesh.materials):
+                raise InputError(
+                    f"material: expected one, or {len(self.mesh.materials)} for the mesh's parts, got {len(own)}"
+                )
+            self.materials, self._one_material = own, False
         self.notes += [note for m in self.materials for note in m.notes]
         self.camera = camera or Camera.framing(self.mesh.bounds)
         self.device = device or Device()
         self.two_sided = two_sided
-        chosen, self.reason = choose(self.materials)
-        if self.bake is not None and settings.get("levels") is None:
-            settings["levels"] = max(chosen.levels, self.bake.rays)
-        self.settings: Settings = chosen.with_defaults(**settings)
+        self._by_hand = settings
+        self.settings = self._settings(subpixels=self.bake is None)
         with self.device.profile.host("build_bvh"):
             self.tracer = Tracer(self.mesh.vertices, self.mesh.faces)
+
+    def _settings(self, subpixels: bool) -> list[tuple[Settings, str]]:
+        """What every material needs, with what was fixed by hand on top, and why."""
+        out = []
+        for material in self.materials:
+            chosen, reason = choose(material, subpixels)
+            if self.bake is not None and self._by_hand.get("levels") is None:
+                chosen = replace(chosen, levels=max(chosen.levels, self.bake.rays))
+            out.append((chosen.with_defaults(**self._by_hand), reason))
+        return out
 
     def render(
         self, *, points: str = "pixel", samples: int | None = None, progress: Notify | None = None
@@ -154,77 +175,142 @@ class Scene:
             raise InputError(f"samples: expected 1 to 64 points along a pixel's side, got {samples}")
         start = time.perf_counter()
         self.device.profile.reset()
+        check_eye(self.tracer, self.mesh, self.camera)
         vertex = points == "vertex" or self.bake is not None
-        pipeline = Pipeline(
-            self.device, self.environment, self.materials, self.settings, polar=self.bake is None
+        # A point that no other supports needs a finer grid of its own.
+        self.settings = self._settings(subpixels=not vertex and samples != 1)
+        pipeline = Pipelines(
+            self.device,
+            self.environment,
+            self.materials,
+            [own for own, _ in self.settings],
+            polar=self.bake is None,
         )
-        count = _Counter(progress)
-        film = Film(self.camera.size)
-        shader = _VertexShader(self, pipeline, count) if vertex else _PixelShader(self, pipeline, count)
-        everything = np.arange(film.width * film.height)
-        if samples is not None:
-            self._expose(film, shader, everything, 0, samples**2)
-        else:
-            self._expose(film, shader, everything, 0, FIRST)
-            reached = FIRST
-            while reached < MOST and len(pixels := film.worst(PIXEL_ERROR)):
-                # Points are numbered within a pixel, so one that waited a round catches up first.
-                pixels = pixels[film.points[pixels] < 4 * reached]
-                for have in np.unique(film.points[pixels]):
-                    self._expose(film, shader, pixels[film.points[pixels] == have], int(have), 4 * reached)
-                reached *= 4
-        report = self._report(pipeline, film, count.done, vertex, time.perf_counter() - start)
-        return Render(film.image(), report)
+        count = Counter(progress)
+        layers = [
+            Layer(Film(self.camera.size), shader, most)
+            for shader, most in self._shaders(pipeline, count, vertex)
+        ]
+        everything = np.arange(self.camera.size[0] * self.camera.size[1])
+        for layer in layers:
+            self._expose(layer, everything, 0, FIRST if samples is None else samples**2)
+        if samples is None:
+            self._refine(layers)
+        report = self._report(pipeline, layers, count, vertex, time.perf_counter() - start)
+        return Render(self._develop(layers), report)
 
-    def _expose(
-        self, film: Film, shader: _Shader, pixels: npt.NDArray[np.int64], first: int, last: int
-    ) -> None:
+    def _shaders(self, pipeline: Pipelines, count: Counter, vertex: bool) -> list[tuple[Shader, int]]:
+        """What is sampled on its own, and up to how many points a pixel.
+
+        Soft light costs a hemisphere of rays a point and varies slowly; hard light costs a few rays and brings
+        the sharp highlights and shadow edges. Apart, each gets only the points it needs.
+        """
+        if vertex:
+            return [(VertexShader(self, pipeline, count), MOST)]
+        shaders: list[tuple[Shader, int]] = [(PixelShader(self, pipeline.soft, count, "soft"), MOST)]
+        if len(pipeline.light.hard):
+            shaders.append((PixelShader(self, pipeline.hard, count, "hard"), MOST_HARD))
+        return shaders
+
+    def _refine(self, layers: list[Layer]) -> None:
+        """Four times the points, again and again, where the estimated error is largest."""
+        for reached in (4**k for k in range(1, 8)):
+            active = [layer for layer in layers if reached < layer.most]
+            if not active:
+                return
+            # The whole image's mean and the number of its pixels turn a relative error into a sum of squares.
+            mean, covered = sum(layer.film.mean().mean(axis=1) for layer in layers), self._covered(layers)
+            # One number for the whole image: sharp highlights, where there are any, make most of its error.
+            error = max(own.pixel_error for own, _ in self.settings)
+            allowed = (
+                (error * mean[covered].mean()) ** 2 * covered.sum() / len(layers)
+                if covered.any()
+                else 0
+            )
+            for layer in active:
+                pixels = layer.film.worst(allowed)
+                # A pixel that waited a round or more catches up round by round.
+                pixels = pixels[layer.film.points[pixels] <= reached]
+                for have in np.unique(layer.film.points[pixels]):
+                    behind = pixels[layer.film.points[pixels] == have]
+                    while have <= reached:
+                        self._expose(layer, behind, int(have), 4 * int(have))
+                        have *= 4
+
+    @staticmethod
+    def _covered(layers: list[Layer]) -> npt.NDArray[np.bool_]:
+        return np.any([layer.film.coverage() > 0 for layer in layers], axis=0)
+
+    def _develop(self, layers: list[Layer]) -> npt.NDArray[np.float32]:
+        """The layers' sum, with the coverage that most points saw."""
+        width, height = self.camera.size
+        rgba = np.zeros((height * width, 4))
+        rgba[:, :3] = sum(layer.film.mean() for layer in layers)
+        most = np.argmax([layer.film.points for layer in layers], axis=0)
+        rgba[:, 3] = np.stack([layer.film.coverage() for layer in layers])[most, np.arange(len(rgba))]
+        return rgba.reshape(height, width, 4).astype(np.float32)
+
+    def _expose(self, layer: Layer, pixels: npt.NDArray[np.int64], first: int, last: int) -> None:
         """Points first … last − 1 of each of the pixels."""
         each = last - first
         step = max(1, BATCH // each)
         for start in range(0, len(pixels), step):
             some = pixels[start : start + step]
-            pixel = np.repeat(some, each)
-            sub = np.tile(np.arange(first, last), len(some))
+            pixel, sub = np.repeat(some, each), np.tile(np.arange(first, last), len(some))
             with self.device.profile.host("camera_rays"):
                 hits = shoot(self.tracer, self.camera, pixel, sub)
-            film.add(pixel, hits.ray, shader(hits, sub[hits.ray]))
+            layer.film.add(some, first, last, hits.ray, layer.shader(hits, sub[hits.ray]))
 
     def _report(
-        self, pipeline: Pipeline, film: Film, shaded: int, vertex: bool, seconds: float
+        self, pipeline: Pipelines, layers: list[Layer], count: Counter, vertex: bool, seconds: float
     ) -> Report:
         device = pipeline.device
         stages = {**device.profile.device_seconds(), **device.profile.host_seconds()}
-        covered = film.covered()
+        covered = self._covered(layers)
+        mean = sum(layer.film.mean().mean(axis=1) for layer in layers)
+        variance = sum(layer.film.variance() for layer in layers)
+        error = np.sqrt(variance[covered].mean()) / mean[covered].mean() if mean.sum() > 0 else 0.0
+        shaded = count.by_stage
+        # Which layer's points a stage works on; the rest of the soft light's stages take all of that layer's.
+        hard_stages = ("hard_light_rays", "shade_lights")
+        main = shaded.get("vertex", shaded.get("soft", 0))
         return {
             "device": device.name,
             "device_reason": device.reason,
             "precision": device.precision,
-            "mesh": {"name": self.mesh.name, "vertices": len(self.mesh.vertices), "faces": len(self.mesh.faces)},
+            "mesh": {
+                "name": self.mesh.name,
+                "vertices": len(self.mesh.vertices),
+                "faces": len(self.mesh.faces),
+            },
             "materials": [m.spec for m in self.materials],
-            "settings": {**vars(pipeline.settings), "why": self.reason},
+            "settings": [{**vars(own), "why": reason} for own, reason in dict(self.settings).items()],
             "light": {
                 "hard_samples": len(pipeline.light.hard),
                 "hard_share": round(pipeline.light.hard_share, 4),
-                "channels": pipeline.channels,
+                "channels": max(own.channels for own in pipeline.all),
             },
             "points": "vertex" if vertex else "pixel",
             "points_shaded": shaded,
-            "rays": int(shaded * (4**self.settings.rays + len(pipeline.light.hard))),
-            "points_per_pixel": float(film.points[covered].mean()) if covered.any() else 0.0,
-            "pixel_error_estimate": film.error(),
+            "rays": main * 4 ** max(own.rays for own, _ in self.settings)
+            + shaded.get("hard", main) * len(pipeline.light.hard),
+            "points_per_pixel": [
+                float(l.film.points[covered].mean()) if covered.any() else 0.0 for l in layers
+            ],
+            "pixel_error_estimate": float(error),
             "seconds": {"total": seconds, **{k: round(v, 4) for k, v in stages.items()}},
-            "points_per_second": {k: round(shaded / v) for k, v in stages.items() if v > 0 and shaded},
+            "points_per_second": {
+                k: round((shaded.get("hard", main) if k in hard_stages else main) / v)
+                for k, v in stages.items()
+                if v > 0 and k in PER_POINT
+            },
             "bytes_per_point": device.profile.bytes_per_point(),
             "notes": self.notes,
         }
 
     def single_material(self, points: Points) -> Points:
         """The points as they are, or all of the one material that replaces the mesh's own."""
-        if not self._one_material:
-            return points
-        zero = np.zeros(len(points), dtype=np.int32)
-        return Points(points.origins, points.frames, points.views, zero, points.grid, points.polar)
+        return replace(points, material=np.zeros_like(points.material)) if self._one_material else points
 
 
 def own_materials(mesh: Mesh) -> list[Material]:
@@ -235,65 +321,3 @@ def own_materials(mesh: Mesh) -> list[Material]:
         else Material.from_metallic_roughness(part.base_color, part.metallic, part.roughness)
         for part in mesh.materials
     ]
-
-
-class _Counter:
-    """Points done and known of, for a progress bar that several threads move."""
-
-    def __init__(self, notify: Notify | None) -> None:
-        self.done = self.known = 0
-        self._notify = notify
-
-    def expect(self, count: int) -> None:
-        self.known += count
-
-    def __call__(self, count: int) -> None:
-        self.done += count
-        if self._notify is not None:
-            self._notify(self.done, self.known)
-
-
-class _PixelShader:
-    """Radiance where the pixels' rays hit."""
-
-    def __init__(self, scene: Scene, pipeline: Pipeline, count: _Counter) -> None:
-        self.scene, self.pipeline, self.count = scene, pipeline, count
-
-    def __call__(self, hits: Hits, sub: npt.NDArray[np.int64]) -> npt.NDArray[np.floating]:
-        scene = self.scene
-        points = pixel_points(scene.mesh, scene.tracer, hits, sub, scene.two_sided)
-        self.count.expect(len(points))
-        return self.pipeline.radiance(scene.tracer, scene.single_material(points), progress=self.count)
-
-
-class _VertexShader:
-    """Radiance at vertices, interpolated over the faces the pixels see; each vertex is shaded once."""
-
-    def __init__(self, scene: Scene, pipeline: Pipeline, count: _Counter) -> None:
-        self.scene, self.pipeline, self.count = scene, pipeline, count
-        self._radiance = np.zeros((len(scene.mesh.vertices), 3))
-        self._known = np.zeros(len(scene.mesh.vertices), dtype=np.bool_)
-
-    def __call__(self, hits: Hits, sub: npt.NDArray[np.int64]) -> npt.NDArray[np.floating]:
-        corners = self.scene.mesh.faces[hits.face]
-        seen = np.unique(corners)
-        self._shade(seen[~self._known[seen]])
-        return np.asarray(np.einsum("nc,ncx->nx", hits.barycentric, self._radiance[corners]))
-
-    def _shade(self, vertices: npt.NDArray[np.int64]) -> None:
-        scene = self.scene
-        self.count.expect(len(vertices))
-        bits = None
-        if scene.bake is None:
-            points = vertex_points(scene.mesh, scene.tracer, scene.camera.eye, vertices)
-        else:
-            points = vertex_points(scene.mesh, scene.tracer, None, vertices)
-            points = with_eye(points, scene.mesh.vertices[vertices], scene.camera.eye)
-            bits = scene.bake.bits[vertices]
-        self._radiance[vertices] = self.pipeline.radiance(
-            scene.tracer, scene.single_material(points), bits, progress=self.count
-        )
-        self._known[vertices] = True
-
-
-_Shader = _PixelShader | _VertexShader

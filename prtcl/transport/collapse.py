@@ -60,18 +60,47 @@ def reduced_coefficients(
     frames : (n, 3, 3) float32
     """
     levels, keep = settings.levels, settings.keep
-    soft = environment.gather(device, light, frames, channels=channels)
     if settings.tree:
+        soft = environment.gather(device, light, frames, channels=channels)
         coefficients = haar.forward(device, soft)
         seen = visibility_coefficients(device, bits, settings.rays, levels)
         return triple.reduce(device, coefficients, seen, keep=keep)
-    words = device.array(bits, np.uint32, name="bits")
     count = len(frames)
     product = device.empty((count, channels, quadtree.n_samples(keep)))
     kernel = device.kernels(
-        "product.cl", LEVELS=levels, BITS=settings.rays, KEEP=keep, CHANNELS=channels, GROUP=GROUP
+        "product.cl", LEVELS=levels, BITS=settings.rays, KEEP=keep, CHANNELS=channels,
+        SUB=environment.SUB, GROUP=GROUP,
+    )["light_times_visibility"]  # fmt: skip
+    cube, _ = light.buffers(device)
+    device.launch(
+        kernel, quadtree.n_samples(keep), GROUP, cube, cube.shape[1] - 2,
+        environment.look_up_directions(device, levels), environment.frames_on_map(device, light, frames),
+        device.array(bits, np.uint32, name="bits"), product, y=count,
+    )  # fmt: skip
+    return haar.forward(device, product, scale=2.0 ** (levels - keep))
+
+
+def product_of(device: Device, light: Any, bits: Any, rays: int, keep: int) -> Any:
+    """L ⊕ V from light samples that are already on the device, in the pixel domain.
+
+    Parameters
+    ----------
+    light : device array (n, channels, 4**levels) of radiance, Morton order
+    bits : (n, words) uint32 visibility of 4**rays directions
+    keep : levels of the product to keep
+
+    Returns
+    -------
+    reduced : device array (n, channels, 4**keep) of Haar coefficients
+    """
+    count, channels, samples = light.shape
+    levels = quadtree.levels_of(samples)
+    kernel = device.kernels(
+        "product.cl", LEVELS=levels, BITS=rays, KEEP=keep, CHANNELS=channels, GROUP=GROUP
     )["masked_average"]
-    device.launch(kernel, quadtree.n_samples(keep), GROUP, soft, words, product, y=count * channels)
+    product = device.empty((count, channels, quadtree.n_samples(keep)))
+    words = device.array(bits, np.uint32, name="bits")
+    device.launch(kernel, quadtree.n_samples(keep), GROUP, light, words, product, y=count * channels)
     return haar.forward(device, product, scale=2.0 ** (levels - keep))
 
 
@@ -86,10 +115,10 @@ def bytes_per_point(settings: Settings, channels: int, real: int) -> dict[str, i
     squares = quadtree.n_squares(settings.levels)
     stages = {
         "visibility_bits": 4 * quadtree.visibility_words(settings.rays),
-        "light_samples": channels * samples * real,
         "reduced_coefficients": channels * kept * real,
     }
     if settings.tree:
+        stages["light_samples"] = channels * samples * real
         stages["light_coefficients"] = channels * samples * real
         stages["visibility_coefficients"] = samples * real
         stages["parent_sums_and_energy"] = (2 * channels + 1) * squares * 8

@@ -2,19 +2,25 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from prtcl.compute.chunks import chunk_size, chunks
 from prtcl.compute.device import Device
-from prtcl.factors.environment import Environment
+from prtcl.factors.environment import Environment, Light
 from prtcl.factors.material import Material
 from prtcl.factors.slices import Materials, ViewTable
 from prtcl.factors.visibility import Progress, Tracer
 from prtcl.transport import collapse, shade
 from prtcl.transport.settings import Settings
+
+
+HARD_CHUNK = 1 << 16
+"""Points a launch of the hard light takes; a point needs some hundred bytes."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,16 +111,16 @@ class Pipeline:
                 points.origins, points.frames, self.settings.rays, points.grid, progress=progress
             )
 
-    def radiance(
+    def soft(
         self, tracer: Tracer, points: Points, bits: npt.NDArray[np.uint32] | None = None,
         progress: Progress | None = None,
-    ) -> npt.NDArray[np.float32]:  # fmt: skip
-        """Outgoing radiance of every point: (n, 3), linear RGB.
+    ) -> npt.NDArray[np.floating]:  # fmt: skip
+        """Radiance (n, 3) that the soft light gives: reduced coefficients times slices.
 
         Parameters
         ----------
         bits : visibility as `visibility` returns it; None traces it
-        progress : called with the number of points done
+        progress : called with the number of points done, from worker threads
         """
         stages = self.bytes_per_point()
         size = chunk_size(self.device, sum(stages.values()), max(stages.values()), self.budget)
@@ -122,26 +128,122 @@ class Pipeline:
         for part in chunks(len(points), size):
             some = points[part]
             seen = self.visibility(tracer, some, progress) if bits is None else bits[part]
-            out[part] = self._chunk(tracer, some, seen)
+            reduced = collapse.reduced_coefficients(
+                self.device, self.light, seen, some.frames, self.settings, self.channels
+            )
+            index, weight = self.table.locate(some.views)
+            index += some.material[:, None] * np.int32(len(self.table.views))
+            radiance = shade.soft_radiance(
+                self.device, reduced, self._slices, index, weight, self.settings.levels
+            )
+            out[part] = self._fetch(radiance)
             if bits is not None and progress is not None:
                 progress(len(some))
         return out
 
-    def _chunk(
-        self, tracer: Tracer, points: Points, bits: npt.NDArray[np.uint32]
+    def hard(
+        self, tracer: Tracer, points: Points, progress: Progress | None = None
     ) -> npt.NDArray[np.floating]:
-        device, light = self.device, self.light
-        reduced = collapse.reduced_coefficients(
-            device, light, bits, points.frames, self.settings, self.channels
-        )
-        index, weight = self.table.locate(points.views)
-        index += points.material[:, None] * np.int32(len(self.table.views))
-        out = shade.soft_radiance(device, reduced, self._slices, index, weight, self.settings.levels)
-        if len(light.hard):
-            with device.profile.host("hard_light_rays"):
-                seen = tracer.light_visibility(points.origins, points.frames[:, 2], light.hard[:, :3])
+        """Radiance (n, 3) that the hard samples give, each traced and shaded with the exact BRDF."""
+        out = np.zeros((len(points), 3), dtype=self.device.dtype)
+        if not len(self.light.hard):
+            return out
+        for part in chunks(len(points), HARD_CHUNK):
+            some = points[part]
+            with self.device.profile.host("hard_light_rays"):
+                seen = tracer.light_visibility(
+                    some.origins, some.frames[:, 2], self.light.hard[:, :3], progress
+                )
+            radiance = self.device.array(np.zeros((len(some), 4)))
             shade.add_hard_radiance(
-                device, self.materials, light, seen, points.material, points.frames, points.views, out
+                self.device,
+                self.materials,
+                self.light,
+                seen,
+                some.material,
+                some.frames,
+                some.views,
+                radiance,
             )
-        with device.profile.host("wait_for_device"):
-            return np.asarray(out.get()[:, :3])
+            out[part] = self._fetch(radiance)
+        return out
+
+    def radiance(
+        self, tracer: Tracer, points: Points, bits: npt.NDArray[np.uint32] | None = None,
+        progress: Progress | None = None,
+    ) -> npt.NDArray[np.floating]:  # fmt: skip
+        """Outgoing radiance of every point, soft and hard light together: (n, 3), linear RGB."""
+        return np.asarray(self.soft(tracer, points, bits, progress) + self.hard(tracer, points))
+
+    def _fetch(self, radiance: Any) -> npt.NDArray[np.floating]:
+        with self.device.profile.host("wait_for_device"):
+            return np.asarray(radiance.get()[:, :3])
+
+
+class Pipelines:
+    """A `Pipeline` for every distinct `Settings` among some materials, so that a matt floor is not computed as
+    finely as the chrome on it.
+
+    Parameters
+    ----------
+    materials, settings : one of each per material that `Points.material` indexes
+    """
+
+    def __init__(
+        self,
+        device: Device,
+        environment: Environment,
+        materials: list[Material],
+        settings: list[Settings],
+        *,
+        polar: bool = True,
+        budget: int | None = None,
+    ) -> None:
+        self.device = device
+        self.all: list[Pipeline] = []
+        self._pipeline = np.zeros(len(materials), dtype=np.int32)
+        self._index = np.zeros(len(materials), dtype=np.int32)
+        for number, chosen in enumerate(dict.fromkeys(settings)):
+            members = [i for i, own in enumerate(settings) if own == chosen]
+            self._pipeline[members] = number
+            self._index[members] = np.arange(len(members))
+            some = [materials[i] for i in members]
+            self.all.append(Pipeline(device, environment, some, chosen, polar=polar, budget=budget))
+
+    @property
+    def light(self) -> Light:
+        """The light as the first pipeline has it; its hard samples are those of all."""
+        return self.all[0].light
+
+    def soft(
+        self, tracer: Tracer, points: Points, bits: npt.NDArray[np.uint32] | None = None,
+        progress: Progress | None = None,
+    ) -> npt.NDArray[np.floating]:  # fmt: skip
+        """As `Pipeline.soft`, every point by the pipeline of its material."""
+        out = np.zeros((len(points), 3), dtype=self.device.dtype)
+        for pipeline, at, some in self._parts(points):
+            out[at] = pipeline.soft(tracer, some, None if bits is None else bits[at], progress)
+        return out
+
+    def hard(
+        self, tracer: Tracer, points: Points, progress: Progress | None = None
+    ) -> npt.NDArray[np.floating]:
+        """As `Pipeline.hard`."""
+        out = np.zeros((len(points), 3), dtype=self.device.dtype)
+        for pipeline, at, some in self._parts(points):
+            out[at] = pipeline.hard(tracer, some, progress)
+        return out
+
+    def radiance(
+        self, tracer: Tracer, points: Points, bits: npt.NDArray[np.uint32] | None = None,
+        progress: Progress | None = None,
+    ) -> npt.NDArray[np.floating]:  # fmt: skip
+        """As `Pipeline.radiance`."""
+        return np.asarray(self.soft(tracer, points, bits, progress) + self.hard(tracer, points))
+
+    def _parts(self, points: Points) -> Iterator[tuple[Pipeline, npt.NDArray[np.int64], Points]]:
+        which = self._pipeline[points.material]
+        for number, pipeline in enumerate(self.all):
+            at = np.nonzero(which == number)[0]
+            if len(at):
+                yield pipeline, at, replace(points[at], material=self._index[points.material[at]])

@@ -26,6 +26,8 @@ class Settings:
     method : the product in the "pixel" domain or through the "tree"; "auto" takes the pixel domain, which was
         faster on dense light on every device measured (bench/reduce.py) and is the better conditioned one
     hard : "auto" takes hard light out of the map, "off" leaves it in
+    pixel_error : relative RMSE over the image that adaptive sub-pixel points aim at, by an estimate on the safe
+        side (stratified points err less than it assumes)
     """
 
     levels: int = 5
@@ -34,6 +36,7 @@ class Settings:
     views: int = 128
     method: str = "auto"
     hard: str = "auto"
+    pixel_error: float = 0.01
 
     def __post_init__(self) -> None:
         for name in ("levels", "rays", "keep"):
@@ -66,18 +69,22 @@ class Settings:
         return replace(self, **fixed)  # type: ignore[arg-type]
 
 
-def choose(materials: list[Material]) -> tuple[Settings, str]:
-    """Settings for the sharpest of some materials, and the reason in words.
+def choose(material: Material, subpixels: bool = True) -> tuple[Settings, str]:
+    """Settings for a material, and the reason in words.
 
-    The table is the one the acceptance runs of bench/accuracy.py found to hold 1 % for α ≥ 0.25 and 3 % down
-    to α = 0.08 on every scene tried.
+    `subpixels` says whether several points share a pixel.
+
+    With these, bench/accuracy.py and bench/mitsuba.py found the errors that the README lists: below 1 % for
+    α ≥ 0.25 and below 3 % for α = 0.1. 4**4 rays a point are few; but each sub-pixel point of a pixel looks
+    through a grid of its own (`hemisphere.cell_offset`), and there are at least four. A vertex stands alone,
+    so it takes 4**5.
     """
-    sharpest = min(materials, key=lambda m: m.roughness)
-    alpha = sharpest.roughness
+    alpha = material.roughness
+    rays = 4 if subpixels else 5
     if alpha >= 0.25:
-        settings = Settings(levels=5, rays=5, keep=5, views=128)
+        settings = Settings(levels=5, rays=rays, keep=5, views=128, pixel_error=0.01)
     elif alpha >= 0.08:
-        settings = Settings(levels=6, rays=5, keep=6, views=256)
+        settings = Settings(levels=6, rays=rays, keep=6, views=256, pixel_error=0.02)
     else:
-        settings = Settings(levels=7, rays=6, keep=7, views=512)
-    return settings, f"sharpest material {sharpest.spec} (lobe as wide as GGX alpha {alpha:.3g})"
+        settings = Settings(levels=7, rays=rays + 1, keep=7, views=512, pixel_error=0.02)
+    return settings, f"{material.spec}: its lobe is as wide as that of GGX alpha {alpha:.3g}"

@@ -13,6 +13,9 @@ from prtcl.factors.environment import Light
 from prtcl.factors.slices import Materials
 
 GROUP = 64
+LANES_CPU, LANES_GPU = 4, 64
+"""Work-items a point for the inner product. A CPU's vectors are short and its barriers are loops: four lanes ran 3.4
+times as fast as 64 on PoCL (bench/inner_product.py)."""
 
 
 def soft_radiance(
@@ -35,22 +38,17 @@ def soft_radiance(
     count, channels, kept = reduced.shape
     keep = quadtree.levels_of(kept)
     where, weights = device.array(index, np.int32), device.array(weight)
+    lanes = LANES_CPU if device.is_cpu else LANES_GPU
     kernel = device.kernels(
-        "shade.cl",
-        KEEP=keep,
-        CHANNELS=channels,
-        SLICE_CHANNELS=slices.shape[1],
-        N_SLICES=where.shape[1],
-        GROUP=GROUP,
-    )["inner_product"]
+        "shade.cl", KEEP=keep, CHANNELS=channels, SLICE_CHANNELS=slices.shape[1], N_SLICES=where.shape[1],
+        GROUP=lanes,
+    )["inner_product"]  # fmt: skip
     # Coefficients of the product are those of 4**levels samples, those of f_v of 4**keep: on the finer grid
     # f_v's would be 2**(levels − keep) larger.
     scale = 2 * np.pi / 4.0**levels * 2.0 ** (levels - keep)
     add = out is not None
     out = device.empty((count, 4)) if out is None else out
-    device.launch(
-        kernel, GROUP, GROUP, reduced, slices, where, weights, out, float(scale), int(add), y=count
-    )
+    device.launch(kernel, lanes, lanes, reduced, slices, where, weights, out, float(scale), int(add), y=count)
     return out
 
 

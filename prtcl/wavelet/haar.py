@@ -64,15 +64,16 @@ def forward(device: Device, samples: Any, *, out: Any = None, scale: float = 1.0
 def forward_from_means(device: Device, means: Any, bottom: int, out: Any, scale: float = 1.0) -> Any:
     """The levels below `bottom` of `out` (..., 4**levels), from rows of 4**bottom means."""
     n_rows = means.size >> (2 * bottom)
+    width = 1 << (2 * bottom)
     stride = out.shape[-1]
     for top, depth in stages(bottom):
         kernel = device.kernels("haar.cl", DEPTH=depth, GROUP=GROUP)["haar_forward"]
         coarser = device.empty((max(1, n_rows << (2 * top)),))
         device.launch(
-            kernel, n_rows << (2 * top), GROUP, means, means.size // n_rows, out, stride, coarser, n_rows, top,
+            kernel, n_rows << (2 * top), GROUP, means, width, out, stride, coarser, n_rows, top,
             scale,
         )  # fmt: skip
-        means, scale = coarser, 1.0
+        means, width, scale = coarser, 1 << (2 * top), 1.0
     return out
 
 
@@ -86,8 +87,6 @@ def inverse(device: Device, coefficients: Any, *, out: Any = None) -> Any:
         kernel = device.kernels("haar.cl", DEPTH=depth, GROUP=GROUP)["haar_inverse"]
         bottom = top + depth
         values = out if bottom == levels else device.empty((n_rows << (2 * bottom),))
-        device.launch(
-            kernel, n_rows << (2 * top), GROUP, coefficients, stride, means, values, n_rows, top
-        )
+        device.launch(kernel, n_rows << (2 * top), GROUP, coefficients, stride, means, values, n_rows, top)
         means = values
     return out

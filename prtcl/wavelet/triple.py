@@ -84,6 +84,4 @@ def reduce(device: Device, a: Any, b: Any, *, keep: int | None = None, out: Any 
 
 
 def _kernels(device: Device, levels: int, channels: int, channels_b: int) -> dict[str, Any]:
-    return device.kernels(
-        "triple.cl", LEVELS=levels, CHANNELS=channels, CHANNELS_B=channels_b, GROUP=GROUP
-    )
+    return device.kernels("triple.cl", LEVELS=levels, CHANNELS=channels, CHANNELS_B=channels_b, GROUP=GROUP)

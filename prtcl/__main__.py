@@ -1,0 +1,7 @@
+"""`python -m prtcl` is the command line."""
+
+import sys
+
+from prtcl.apps.cli import main
+
+sys.exit(main())

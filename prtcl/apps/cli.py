@@ -1,0 +1,179 @@
+"""The command line: `prtcl demo | render | bake | devices`.
+
+Exit status: 0 done, 1 the job failed, 2 the input or the command line was wrong. An error is one or two lines that
+name the file or the option and say what to do.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections.abc import Sequence
+
+from prtcl._version import __version__
+from prtcl.errors import InputError, PrtclError
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command; returns the exit status."""
+    options = parser().parse_args(arguments)
+    try:
+        status: int = options.run(options)
+        return status
+    except PrtclError as error:
+        print(f"prtcl {options.command}: {error}", file=sys.stderr)
+        return error.exit_status
+    except MemoryError as error:
+        print(f"prtcl {options.command}: out of memory {error}; use fewer --levels or a smaller --size",
+              file=sys.stderr)  # fmt: skip
+        return 1
+    except KeyboardInterrupt:
+        print(f"prtcl {options.command}: interrupted; no output was touched", file=sys.stderr)
+        return 130
+    except BrokenPipeError:
+        # The reader of our output (head, a pager) went away; keep the interpreter from complaining at exit.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1
+    except Exception as error:
+        if os.environ.get("PRTCL_DEBUG"):
+            raise
+        print(
+            f"prtcl {options.command}: {type(error).__name__}: {str(error).splitlines()[0] if str(error) else ''}\n"
+            "this is a bug in prtcl or its OpenCL driver; PRTCL_DEBUG=1 shows the traceback",
+            file=sys.stderr,
+        )
+        return 1
+
+
+def parser() -> argparse.ArgumentParser:
+    """The parser of all commands."""
+    top = argparse.ArgumentParser(
+        prog="prtcl",
+        description="All-frequency relighting and material editing with 2D Haar wavelets on OpenCL.",
+    )
+    top.add_argument("--version", action="version", version=f"prtcl {__version__}")
+    commands = top.add_subparsers(dest="command", required=True, metavar="COMMAND")
+
+    demo = commands.add_parser("demo", help="a self-contained first run: its own scene, sky and materials")
+    demo.add_argument("-o", "--output", default="demo-output", metavar="DIR", help="(default: %(default)s)")
+    demo.add_argument(
+        "--size", type=size, default=(288, 216), metavar="WxH", help="pixels (default: 288x216)"
+    )
+    _common(demo)
+    demo.set_defaults(run=_demo)
+
+    render = commands.add_parser("render", help="an image of a mesh under an environment")
+    render.add_argument("mesh", metavar="MESH|BAKE", help="OBJ, PLY, STL, GLB, glTF, or a bake (.npz)")
+    render.add_argument("--env", required=True, metavar="ENV", help="equirectangular EXR or HDR map")
+    render.add_argument("-o", "--output", required=True, metavar="OUT.exr")
+    render.add_argument(
+        "--png", nargs="?", const="", metavar="FILE", help="also an 8-bit sRGB preview (default: OUT.png)"
+    )
+    render.add_argument(
+        "--exposure", type=float, default=0.0, metavar="STOPS", help="of the preview (default: 0)"
+    )
+    _scene(render)
+    _common(render)
+    render.set_defaults(run=_render)
+
+    bake = commands.add_parser("bake", help="trace the visibility of a mesh's vertices once, for reuse")
+    bake.add_argument("mesh", metavar="MESH")
+    bake.add_argument("-o", "--output", required=True, metavar="BAKE.npz")
+    bake.add_argument(
+        "--rays", type=int, default=5, metavar="R", help="4^R rays a vertex (default: %(default)s)"
+    )
+    bake.add_argument("--smooth", action="store_true", help="vertex normals averaged over the faces")
+    _common(bake)
+    bake.set_defaults(run=_bake)
+
+    devices = commands.add_parser("devices", help="what OpenCL sees, which is used, why")
+    devices.add_argument("--device", metavar="SPEC", help="see what a SPEC would choose")
+    devices.add_argument("--json", action="store_true")
+    devices.set_defaults(run=_devices)
+    return top
+
+
+def _common(command: argparse.ArgumentParser) -> None:
+    command.add_argument(
+        "--device",
+        metavar="SPEC",
+        help="platform or platform:device, by index or part of the name (or PRTCL_DEVICE)",
+    )
+    command.add_argument("--quiet", action="store_true", help="no progress bar, no summary")
+    command.add_argument("--json", action="store_true", help="the run's report as JSON on standard output")
+
+
+def _scene(command: argparse.ArgumentParser) -> None:
+    """Options that say what is rendered and how finely."""
+    from prtcl.factors.material import FORMS
+
+    command.add_argument(
+        "--brdf", metavar="SPEC", help=f"{FORMS}; a number may be r/g/b (default: the mesh's glTF materials)"
+    )
+    command.add_argument("--env-rotate", type=float, default=0.0, metavar="DEG",
+                         help="turn the environment about the up axis, counter-clockwise from above")  # fmt: skip
+    command.add_argument(
+        "--env-up", choices=("y", "z"), default="y", help="the environment's up axis (default: y)"
+    )
+    command.add_argument("--repair", action="store_true", help="replace NaN, infinite and negative radiance")
+    for name in ("eye", "target", "up"):
+        command.add_argument(f"--{name}", nargs=3, type=float, metavar=("X", "Y", "Z"))
+    command.add_argument("--fov", type=float, default=40.0, metavar="DEG", help="horizontal (default: 40)")
+    command.add_argument(
+        "--size", type=size, default=(512, 512), metavar="WxH", help="pixels (default: 512x512)"
+    )
+    command.add_argument("--samples", type=int, metavar="N", help="N x N sub-pixel points (default: adapts)")
+    command.add_argument("--points", choices=("pixel", "vertex"), default="pixel")
+    command.add_argument("--one-sided", action="store_true", help="surfaces seen from behind are black")
+    command.add_argument("--smooth", action="store_true", help="vertex normals averaged over the faces")
+    fine = command.add_argument_group("resolution by hand (default: what the materials need; see --explain)")
+    fine.add_argument("--levels", type=int, metavar="R", help="light and product on 4^R directions")
+    fine.add_argument("--rays", type=int, metavar="R", help="visibility on 4^R directions")
+    fine.add_argument("--keep", type=int, metavar="K", help="levels kept of the product")
+    fine.add_argument("--views", type=int, metavar="N", help="view angles stored for each material")
+    fine.add_argument(
+        "--method", choices=("auto", "pixel", "tree"), help="how light and visibility are multiplied"
+    )
+    fine.add_argument("--hard-light", choices=("auto", "off"), help="take the light's peaks out of the map")
+    fine.add_argument("--precision", choices=("float32", "mixed", "float64"), default="float32")
+    command.add_argument("--explain", action="store_true", help="what was chosen and why")
+
+
+def size(text: str) -> tuple[int, int]:
+    """WIDTHxHEIGHT."""
+    parts = text.lower().split("x")
+    if len(parts) != 2 or not all(part.isdigit() and 0 < int(part) <= 16384 for part in parts):
+        raise argparse.ArgumentTypeError(f"expected WIDTHxHEIGHT in pixels such as 640x480, got {text!r}")
+    return int(parts[0]), int(parts[1])
+
+
+# Commands are imported when they run: `prtcl --help` need not wait for NumPy and OpenCL.
+
+
+def _demo(options: argparse.Namespace) -> int:
+    from prtcl.apps.demo import run
+
+    return run(options)
+
+
+def _render(options: argparse.Namespace) -> int:
+    from prtcl.apps.render import run
+
+    if not options.output.lower().endswith(".exr"):
+        raise InputError(
+            f"--output {options.output}: expected a name that ends in .exr (--png adds a preview)"
+        )
+    return run(options)
+
+
+def _bake(options: argparse.Namespace) -> int:
+    from prtcl.apps.bake import run
+
+    return run(options)
+
+
+def _devices(options: argparse.Namespace) -> int:
+    from prtcl.apps.devices import run
+
+    return run(options)

@@ -1,0 +1,89 @@
+"""`prtcl render`: an image of a mesh under an environment."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from pathlib import Path
+
+from prtcl.apps.progress import bar
+from prtcl.compute.device import Device
+from prtcl.files.atomic import check_writable
+from prtcl.scene.camera import Camera
+from prtcl.scene.scene import Render, Scene, read_environment
+
+
+def run(options: argparse.Namespace) -> int:
+    """Render, save, report. Outputs are checked before the work."""
+    preview = None
+    if options.png is not None:
+        preview = Path(options.png) if options.png else Path(options.output).with_suffix(".png")
+    for path in filter(None, (options.output, preview)):
+        check_writable(path)
+    device = Device(options.device, precision=options.precision)
+    environment, notes = read_environment(
+        options.env, rotate=options.env_rotate, up=options.env_up, repair=options.repair
+    )
+    scene = Scene(
+        options.mesh, environment, options.brdf, device=device, two_sided=not options.one_sided,
+        smooth=options.smooth, levels=options.levels, rays=options.rays, keep=options.keep, views=options.views,
+        method=options.method, hard=options.hard_light,
+    )  # fmt: skip
+    scene.notes += notes
+    default_up = (0.0, 0.0, 1.0) if options.env_up == "z" else (0.0, 1.0, 0.0)
+    scene.camera = Camera.framing(
+        scene.mesh.bounds,
+        eye=None if options.eye is None else tuple(options.eye),
+        target=None if options.target is None else tuple(options.target),
+        up=default_up if options.up is None else tuple(options.up),
+        fov=options.fov,
+        size=options.size,
+    )
+    for note in scene.notes:
+        print(f"prtcl render: {note}", file=sys.stderr)
+    with bar("render", options.quiet) as notify:
+        render = scene.render(points=options.points, samples=options.samples, progress=notify)
+    render.save(options.output, png=preview, exposure=options.exposure)
+    if options.json:
+        print(json.dumps(render.report, indent=2))
+    elif not options.quiet:
+        print(summary(render, options.output))
+    if options.explain:
+        print(explain(render))
+    return 0
+
+
+def summary(render: Render, output: str) -> str:
+    """One line on what was made."""
+    report = render.report
+    height, width = render.image.shape[:2]
+    points = sum(report["points_shaded"].values())
+    return (
+        f"{output}: {width}x{height}, {points} points, {report['rays'] / 1e6:.1f} M rays, "
+        f"{report['seconds']['total']:.1f} s on {report['device']}"
+    )
+
+
+def explain(render: Render) -> str:
+    """What was chosen and why, a line each."""
+    report = render.report
+    light = report["light"]
+    layers = ", ".join(f"{n:.1f}" for n in report["points_per_pixel"])
+    return "\n".join(
+        [
+            f"device      {report['device']} ({report['device_reason']}), {report['precision']}",
+            *(
+                f"resolution  light 4^{own['levels']}, visibility 4^{own['rays']}, kept 4^{own['keep']} directions, "
+                f"{own['views']} view angles, product in the "
+                f"{'quadtree' if own['method'] == 'tree' else 'pixel domain'}\n            {own['why']}"
+                for own in report["settings"]
+            ),
+            f"hard light  {light['hard_samples']} samples hold {100 * light['hard_share']:.1f} % of the energy"
+            if light["hard_samples"]
+            else "hard light  none needed: no direction holds enough energy",
+            f"left out    {'two of three channels: the light is grey' if light['channels'] == 1 else 'no channel'}",
+            f"points      {layers} a covered pixel (soft light, hard light); estimated pixel error "
+            f"{100 * report['pixel_error_estimate']:.2f} %",
+        ]
+    )

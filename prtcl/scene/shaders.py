@@ -1,0 +1,96 @@
+"""What a film's points are shaded with: soft or hard light where a pixel's ray hits, or the mesh's vertices."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from prtcl.scene.film import Film
+from prtcl.scene.points import Hits, pixel_points, vertex_points, with_eye
+from prtcl.transport.pipeline import Pipelines
+
+if TYPE_CHECKING:
+    from prtcl.scene.scene import Scene
+
+Notify = Callable[[int, int], object]
+Radiance = npt.NDArray[np.floating]
+
+
+class Counter:
+    """Points done and known of, for a progress bar that several threads move, and points by stage."""
+
+    def __init__(self, notify: Notify | None) -> None:
+        self.done = self.known = 0
+        self.by_stage: dict[str, int] = {}
+        self._notify = notify
+
+    def expect(self, stage: str, count: int) -> None:
+        self.known += count
+        self.by_stage[stage] = self.by_stage.get(stage, 0) + count
+
+    def __call__(self, count: int) -> None:
+        self.done += count
+        if self._notify is not None:
+            self._notify(self.done, self.known)
+
+
+class Shader(Protocol):
+    """Radiance (n, 3) of hits, given each one's number within its pixel."""
+
+    def __call__(self, hits: Hits, sub: npt.NDArray[np.int64]) -> Radiance: ...
+
+
+@dataclass(frozen=True)
+class Layer:
+    """A film, what exposes it, and how many points a pixel of it may take."""
+
+    film: Film
+    shader: Shader
+    most: int
+
+
+class PixelShader:
+    """One part of the light, where the pixels' rays hit: `light` is `Pipelines.soft` or `Pipelines.hard`."""
+
+    def __init__(self, scene: Scene, light: Callable[..., Radiance], count: Counter, stage: str) -> None:
+        self.scene, self.light, self.count, self.stage = scene, light, count, stage
+
+    def __call__(self, hits: Hits, sub: npt.NDArray[np.int64]) -> Radiance:
+        scene = self.scene
+        points = pixel_points(scene.mesh, scene.tracer, hits, sub, scene.two_sided)
+        self.count.expect(self.stage, len(points))
+        return self.light(scene.tracer, scene.single_material(points), progress=self.count)
+
+
+class VertexShader:
+    """Radiance at vertices, interpolated over the faces the pixels see; each vertex is shaded once."""
+
+    def __init__(self, scene: Scene, pipeline: Pipelines, count: Counter) -> None:
+        self.scene, self.pipeline, self.count = scene, pipeline, count
+        self._radiance = np.zeros((len(scene.mesh.vertices), 3))
+        self._known = np.zeros(len(scene.mesh.vertices), dtype=np.bool_)
+
+    def __call__(self, hits: Hits, sub: npt.NDArray[np.int64]) -> Radiance:
+        corners = self.scene.mesh.faces[hits.face]
+        seen = np.unique(corners)
+        self._shade(seen[~self._known[seen]])
+        return np.asarray(np.einsum("nc,ncx->nx", hits.barycentric, self._radiance[corners]))
+
+    def _shade(self, vertices: npt.NDArray[np.int64]) -> None:
+        scene = self.scene
+        self.count.expect("vertex", len(vertices))
+        bits = None
+        if scene.bake is None:
+            points = vertex_points(scene.mesh, scene.tracer, scene.camera.eye, vertices)
+        else:
+            points = vertex_points(scene.mesh, scene.tracer, None, vertices)
+            points = with_eye(points, scene.mesh.vertices[vertices], scene.camera.eye)
+            bits = scene.bake.bits[vertices]
+        self._radiance[vertices] = self.pipeline.radiance(
+            scene.tracer, scene.single_material(points), bits, progress=self.count
+        )
+        self._known[vertices] = True
