@@ -215,6 +215,59 @@ def environment(image: npt.ArrayLike, world: npt.ArrayLike) -> Array:
     return np.asarray(top * (1 - fy) + bottom * fy)
 
 
+def peaks(image: npt.ArrayLike, threshold: float, refine: int = 2) -> tuple[Array, Array]:
+    """What a map holds above a radiance threshold, as one sample for every refined texel.
+
+    A grid of directions cannot see a sun smaller than its cells; these samples can. `environment_below` is the
+    rest: the two add up to the map.
+
+    Parameters
+    ----------
+    image : (h, 2 h, 3)
+    threshold : of the mean of the three channels
+    refine : subtexels along a texel's side
+
+    Returns
+    -------
+    directions : (n, 3) map directions
+    irradiance : (n, 3) excess radiance times solid angle
+    """
+    texels = np.asarray(image, dtype=np.float64)
+    height, width = texels.shape[0] * refine, texels.shape[1] * refine
+    theta = np.pi * (np.arange(height) + 0.5) / height
+    # Bilinear interpolation cannot exceed the texels around it: rows without a bright neighbour are passed over.
+    bright = np.nonzero((texels.mean(axis=2) > threshold).any(axis=1))[0]
+    rows = np.unique(np.clip(np.add.outer(bright * refine, np.arange(-refine, 2 * refine)), 0, height - 1))
+    directions, irradiance = [np.empty((0, 3))], [np.empty((0, 3))]
+    phi = 2 * np.pi * (np.arange(width) + 0.5) / width
+    for row in rows:
+        ring = np.stack(
+            [
+                np.sin(theta[row]) * np.sin(phi),
+                np.full(width, np.cos(theta[row])),
+                -np.sin(theta[row]) * np.cos(phi),
+            ],
+            axis=1,
+        )
+        radiance = environment(texels, ring)
+        excess = radiance - _below(radiance, threshold)
+        kept = excess.max(axis=1) > 0.0
+        solid = (np.cos(np.pi * row / height) - np.cos(np.pi * (row + 1) / height)) * 2 * np.pi / width
+        directions.append(ring[kept])
+        irradiance.append(excess[kept] * solid)
+    return np.concatenate(directions), np.concatenate(irradiance)
+
+
+def environment_below(image: npt.ArrayLike, world: npt.ArrayLike, threshold: float) -> Array:
+    """`environment` with what exceeds the threshold taken off, colour kept."""
+    return _below(environment(image, world), threshold)
+
+
+def _below(radiance: Array, threshold: float) -> Array:
+    level = radiance.mean(axis=-1, keepdims=True)
+    return np.asarray(radiance * np.minimum(1.0, threshold / np.maximum(level, 1e-300)))
+
+
 # --- reflectance ---------------------------------------------------------------------------------------------
 
 

@@ -59,8 +59,8 @@ def run(options: argparse.Namespace) -> int:
         if not options.quiet and not options.json:
             report = render.report
             print(
-                f"{folder / name}.png  {sum(report['points_shaded'].values())} points, {report['rays'] / 1e6:.1f} M rays, "
-                f"{report['seconds']['total']:.1f} s on {device.name}"
+                f"{folder / name}.png  {sum(report['points_shaded'].values())} points, "
+                f"{report['rays'] / 1e6:.1f} M rays, {report['seconds']['total']:.1f} s on {device.name}"
             )
     (folder / "report.json").write_text(json.dumps(reports, indent=2) + "\n", encoding="utf-8")
     if options.json:

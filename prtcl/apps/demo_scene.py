@@ -14,10 +14,10 @@ PARTS = ("ground", "knot", "sphere", "vase", "steps")
 
 
 def build() -> Mesh:
-    """A torus knot, a sphere, a vase and steps on a round ground: about 40,000 triangles, y up."""
+    """A torus knot, a sphere, a vase and steps on a round ground: about 75,000 triangles, y up."""
     patches = [
         _grid(lambda u, v: _disk(u, v, 4.0), 8, 96),
-        _grid(lambda u, v: _knot(u, v), 640, 20),
+        _grid(_knot, 480, 48),
         _grid(lambda u, v: _revolve(u, v, _ball) + [1.35, 0.62, 0.95], 64, 96),
         _grid(lambda u, v: _revolve(u, v, _vase) + [-1.75, 0.0, 0.55], 96, 96),
         _steps(),
@@ -101,7 +101,9 @@ def _knot(u: Array, v: Array) -> Array:
 
 def _steps() -> Patch:
     """Four blocks, each a corner of hard shadow; flat faces with vertices of their own."""
-    corners, faces, normals = [], [], []
+    corners: list[Array] = []
+    faces: list[tuple[int, int, int]] = []
+    normals: list[tuple[int, int, int]] = []
     unit = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], dtype=np.float64)
     sides = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
     outward = [(-1, 0, 0), (1, 0, 0), (0, -1, 0), (0, 1, 0), (0, 0, -1), (0, 0, 1)]

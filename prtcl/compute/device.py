@@ -191,7 +191,7 @@ class Device:
         if isinstance(value, int):
             return np.int32(value)
         if isinstance(value, float):
-            return np.dtype(self.dtype).type(value)
+            return np.asarray(value, dtype=self.dtype)[()]
         return value.data if hasattr(value, "base_data") else value
 
     def launch(

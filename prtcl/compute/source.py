@@ -7,7 +7,7 @@ PoCL, and one string is an exact cache key. `#line` markers keep build messages 
 from __future__ import annotations
 
 import re
-from functools import lru_cache
+from functools import cache
 from pathlib import Path
 
 from prtcl.errors import PrtclError
@@ -30,7 +30,7 @@ def kernel_folder() -> Path:
     raise PrtclError(f"{package}: the OpenCL sources (kernels/*.cl) are missing\nreinstall prtcl")
 
 
-@lru_cache(maxsize=None)
+@cache
 def expand(name: str) -> str:
     """The source of kernels/NAME with every include in place, each file at most once."""
     return "\n".join(_expand(name, kernel_folder(), set())) + "\n"

@@ -116,7 +116,8 @@ class Environment:
         parts = hardlight.subtexel_bands(image, ~bright, refine)
         lights = np.zeros((0, 6))
         if bright.any():
-            fine = hardlight.subtexels(image, *np.nonzero(bright), max(refine, hardlight.REFINE))
+            rows, columns = np.nonzero(bright)
+            fine = hardlight.subtexels(image, rows, columns, max(refine, hardlight.REFINE))
             soft, excess = hardlight.clip(fine.radiance, threshold)
             lights = hardlight.cluster(fine.directions, excess * fine.solid_angles[:, None], max_samples)
             parts = chain(parts, [hardlight.Subtexels(fine.directions, soft, fine.solid_angles)])

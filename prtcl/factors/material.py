@@ -84,7 +84,7 @@ class Material:
             if text is None and default is None:
                 raise InputError(f"brdf {spec}: {parameter} is missing\nforms: {FORMS}")
             value = (default,) * 3 if text is None else _number(spec, parameter, text)
-            if not all(math.isfinite(v) and low <= v <= high for v in value):  # type: ignore[arg-type]
+            if not all(math.isfinite(v) and low <= v <= high for v in value):  # type: ignore[arg-type, operator]
                 raise InputError(f"brdf {spec}: {parameter} expected from {low:g} to {high:g}, got {text}")
             if parameter in _SCALARS and len(set(value)) > 1:
                 raise InputError(f"brdf {spec}: {parameter} expected one number, got {text}")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -64,7 +65,7 @@ class Materials:
                 "brdf.cl", LEVELS=levels, SUB=depth, CHANNELS=self.channels, KINDS=self.mask, GROUP=GROUP
             )["brdf_slices"]
             cells = device.constant(
-                ("directions", levels + depth), lambda d=depth: hemisphere.directions(levels + d)
+                ("directions", levels + depth), partial(hemisphere.directions, levels + depth)
             )
             device.launch(
                 kernel,

@@ -136,10 +136,7 @@ class Tracer:
             tables[int(index)] = hemisphere.directions(levels, hemisphere.cell_offset(int(index)))[:, :3]
 
         def run(part: slice) -> None:
-            if grid is None:
-                local = tables[0]
-            else:
-                local = np.stack([tables[int(index)] for index in grid[part]])
+            local = tables[0] if grid is None else np.stack([tables[int(index)] for index in grid[part]])
             world = np.matmul(local, frames[part]).reshape(-1, 3)
             hidden = self.occluded(np.repeat(origins[part], count, axis=0), world)
             bits[part] = _pack(~hidden.reshape(-1, count), words)

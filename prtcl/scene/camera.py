@@ -37,14 +37,7 @@ class Camera:
     size: tuple[int, int] = (512, 512)
 
     def __post_init__(self) -> None:
-        for name in ("eye", "target", "up"):
-            value = np.asarray(getattr(self, name), dtype=np.float64)
-            if value.shape != (3,) or not np.isfinite(value).all():
-                raise InputError(f"{name}: expected three finite numbers, got {getattr(self, name)}")
-        if not 0.0 < self.fov < 180.0:
-            raise InputError(f"fov: expected degrees between 0 and 180, got {self.fov:g}")
-        if len(self.size) != 2 or min(self.size) < 1:
-            raise InputError(f"size: expected WIDTHxHEIGHT of at least 1x1, got {self.size}")
+        _check(self.fov, self.size, eye=self.eye, target=self.target, up=self.up)
         forward = np.subtract(self.target, self.eye)
         if not np.linalg.norm(forward) > 0.0:
             raise InputError(f"eye and target are the same point {tuple(self.eye)}; move one")
@@ -68,16 +61,18 @@ class Camera:
 
         Without an eye it looks from the front right and somewhat above, as product shots do.
         """
-        centre = bounds.mean(axis=0) if target is None else np.asarray(target, dtype=np.float64)
+        aim: Triple = tuple(bounds.mean(axis=0).tolist()) if target is None else target
         if eye is None:
-            across = np.tan(np.radians(fov) / 2) * min(1.0, size[1] / size[0])
-            distance = np.linalg.norm(bounds[1] - bounds[0]) / 2 / math.sin(math.atan(across))
+            _check(fov, size, target=aim, up=up)
+            across = math.tan(math.radians(fov) / 2) * min(1.0, size[1] / size[0])
+            farthest = np.linalg.norm(np.abs(bounds - aim).max(axis=0))
+            distance = farthest / math.sin(math.atan(across))
             vertical = np.asarray(up, dtype=np.float64) / max(float(np.linalg.norm(up)), 1e-300)
             side = np.array([0.0, 0.0, 1.0]) if abs(vertical[2]) < 0.9 else np.array([0.0, -1.0, 0.0])
             right = np.cross(vertical, side)
             direction = 0.5 * right + 0.4 * vertical + side
-            eye = tuple(centre + distance * direction / np.linalg.norm(direction))
-        return cls(eye, tuple(centre), up, fov, size)  # type: ignore[arg-type]
+            eye = tuple((aim + distance * direction / np.linalg.norm(direction)).tolist())
+        return cls(eye, aim, up, fov, size)
 
     def rays(self, x: npt.NDArray[np.float64], y: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         """World unit directions through image positions.
@@ -101,6 +96,17 @@ class Camera:
         along = (1 - 2 * y / height) * half * height / width
         directions = forward + across[:, None] * right + along[:, None] * above
         return np.asarray(directions / np.linalg.norm(directions, axis=1, keepdims=True))
+
+
+def _check(fov: float, size: tuple[int, int], **vectors: Triple) -> None:
+    for name, given in vectors.items():
+        value = np.asarray(given, dtype=np.float64)
+        if value.shape != (3,) or not np.isfinite(value).all():
+            raise InputError(f"{name}: expected three finite numbers, got {given}")
+    if not 0.0 < fov < 180.0:
+        raise InputError(f"fov: expected degrees between 0 and 180, got {fov:g}")
+    if len(size) != 2 or min(size) < 1:
+        raise InputError(f"size: expected WIDTHxHEIGHT of at least 1x1, got {size}")
 
 
 def subpixel(index: npt.NDArray[np.int64]) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:

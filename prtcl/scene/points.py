@@ -129,7 +129,7 @@ def pixel_points(
 
 
 def vertex_points(
-    mesh: Mesh, tracer: Tracer, eye: npt.ArrayLike | None = None, only: npt.NDArray[np.int64] | None = None
+    mesh: Mesh, tracer: Tracer, eye: npt.ArrayLike | None = None, only: npt.NDArray[np.integer] | None = None
 ) -> Points:
     """Points at mesh vertices, which keep the file's normals (or the angle-weighted ones where it has none).
 
@@ -150,7 +150,7 @@ def vertex_points(
         towards = np.asarray(eye, dtype=np.float64) - positions
         towards = towards / np.maximum(np.linalg.norm(towards, axis=1, keepdims=True), 1e-300)
     frames = hemisphere.frames_from(normal, towards)
-    views = np.tile(np.float32([0, 0, 1]), (len(chosen), 1))
+    views = np.tile(np.array([0.0, 0.0, 1.0], dtype=np.float32), (len(chosen), 1))
     if towards is not None:
         views = np.einsum("nij,nj->ni", frames, towards).astype(np.float32)
     zero = np.zeros(len(chosen), dtype=np.int32)

@@ -219,13 +219,12 @@ class Scene:
             if not active:
                 return
             # The whole image's mean and the number of its pixels turn a relative error into a sum of squares.
-            mean, covered = sum(layer.film.mean().mean(axis=1) for layer in layers), self._covered(layers)
+            mean = np.sum([layer.film.mean().mean(axis=1) for layer in layers], axis=0)
+            covered = self._covered(layers)
             # One number for the whole image: sharp highlights, where there are any, make most of its error.
             error = max(own.pixel_error for own, _ in self.settings)
             allowed = (
-                (error * mean[covered].mean()) ** 2 * covered.sum() / len(layers)
-                if covered.any()
-                else 0
+                (error * mean[covered].mean()) ** 2 * covered.sum() / len(layers) if covered.any() else 0
             )
             for layer in active:
                 pixels = layer.film.worst(allowed)
@@ -267,8 +266,8 @@ class Scene:
         device = pipeline.device
         stages = {**device.profile.device_seconds(), **device.profile.host_seconds()}
         covered = self._covered(layers)
-        mean = sum(layer.film.mean().mean(axis=1) for layer in layers)
-        variance = sum(layer.film.variance() for layer in layers)
+        mean = np.sum([layer.film.mean().mean(axis=1) for layer in layers], axis=0)
+        variance = np.sum([layer.film.variance() for layer in layers], axis=0)
         error = np.sqrt(variance[covered].mean()) / mean[covered].mean() if mean.sum() > 0 else 0.0
         shaded = count.by_stage
         # Which layer's points a stage works on; the rest of the soft light's stages take all of that layer's.

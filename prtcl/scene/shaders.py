@@ -80,7 +80,7 @@ class VertexShader:
         self._shade(seen[~self._known[seen]])
         return np.asarray(np.einsum("nc,ncx->nx", hits.barycentric, self._radiance[corners]))
 
-    def _shade(self, vertices: npt.NDArray[np.int64]) -> None:
+    def _shade(self, vertices: npt.NDArray[np.integer]) -> None:
         scene = self.scene
         self.count.expect("vertex", len(vertices))
         bits = None

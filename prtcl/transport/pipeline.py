@@ -18,7 +18,6 @@ from prtcl.factors.visibility import Progress, Tracer
 from prtcl.transport import collapse, shade
 from prtcl.transport.settings import Settings
 
-
 HARD_CHUNK = 1 << 16
 """Points a launch of the hard light takes; a point needs some hundred bytes."""
 
