@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 import numpy.typing as npt
@@ -11,6 +12,9 @@ import numpy.typing as npt
 from prtcl.errors import InputError
 
 Triple = tuple[float, float, float]
+
+MARGIN = 1.06
+"""Room around the object when the camera frames it by itself."""
 
 
 @dataclass(frozen=True)
@@ -64,14 +68,20 @@ class Camera:
         aim: Triple = tuple(bounds.mean(axis=0).tolist()) if target is None else target
         if eye is None:
             _check(fov, size, target=aim, up=up)
-            across = math.tan(math.radians(fov) / 2) * min(1.0, size[1] / size[0])
-            farthest = np.linalg.norm(np.abs(bounds - aim).max(axis=0))
-            distance = farthest / math.sin(math.atan(across))
             vertical = np.asarray(up, dtype=np.float64) / max(float(np.linalg.norm(up)), 1e-300)
             side = np.array([0.0, 0.0, 1.0]) if abs(vertical[2]) < 0.9 else np.array([0.0, -1.0, 0.0])
-            right = np.cross(vertical, side)
-            direction = 0.5 * right + 0.4 * vertical + side
-            eye = tuple((aim + distance * direction / np.linalg.norm(direction)).tolist())
+            towards = 0.5 * np.cross(vertical, side) + 0.4 * vertical + side
+            towards = towards / np.linalg.norm(towards)
+            across = np.cross(vertical, towards)
+            across = across / max(float(np.linalg.norm(across)), 1e-300)
+            # As near as lets every corner of the box project into the frame: depth · tan ≥ offset on both axes.
+            corners = np.array(list(product(*bounds.T))) - aim
+            tangent = math.tan(math.radians(fov) / 2) / MARGIN
+            offsets = np.maximum(
+                np.abs(corners @ across) / tangent,
+                np.abs(corners @ np.cross(towards, across)) / (tangent * size[1] / size[0]),
+            )
+            eye = tuple((aim + float((offsets + corners @ towards).max()) * towards).tolist())
         return cls(eye, aim, up, fov, size)
 
     def rays(self, x: npt.NDArray[np.float64], y: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:

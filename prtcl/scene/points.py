@@ -60,7 +60,9 @@ def check_eye(tracer: Tracer, mesh: Mesh, camera: Camera) -> None:
     width, height = camera.size
     pixels = np.arange(width * height)
     if not any(
-        len(shoot(tracer, camera, part, np.zeros_like(part)).ray) for part in np.array_split(pixels, 16)
+        len(shoot(tracer, camera, part, np.full_like(part, sub)).ray)
+        for sub in range(4)
+        for part in np.array_split(pixels, 16)
     ):
         raise InputError(
             f"the camera at {_text(camera.eye)} towards {_text(camera.target)} sees nothing of the mesh, which lies "

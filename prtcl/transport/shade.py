@@ -15,11 +15,19 @@ from prtcl.factors.slices import Materials
 GROUP = 64
 LANES_CPU, LANES_GPU = 4, 64
 """Work-items a point for the inner product. A CPU's vectors are short and its barriers are loops: four lanes ran 3.4
-times as fast as 64 on PoCL (bench/inner_product.py)."""
+times as fast as 64 on PoCL (bench/reduce.py shows both)."""
 
 
 def soft_radiance(
-    device: Device, reduced: Any, slices: Any, index: Any, weight: Any, levels: int, *, out: Any = None
+    device: Device,
+    reduced: Any,
+    slices: Any,
+    index: Any,
+    weight: Any,
+    levels: int,
+    *,
+    out: Any = None,
+    lanes: int | None = None,
 ) -> Any:
     """I_p = Σ_j (L ⊕ V)_j f_v,j, equation (5), with f_v interpolated between stored slices.
 
@@ -30,6 +38,7 @@ def soft_radiance(
     index, weight : (n, k) int32 and real: the slices of each point and their weights
     levels : of the product: its samples subtend 2π/4**levels sr
     out : device array (n, 4) that is added to, or None for a new one
+    lanes : work-items a point, a power of two; None takes what suits the device
 
     Returns
     -------
@@ -38,7 +47,7 @@ def soft_radiance(
     count, channels, kept = reduced.shape
     keep = quadtree.levels_of(kept)
     where, weights = device.array(index, np.int32), device.array(weight)
-    lanes = LANES_CPU if device.is_cpu else LANES_GPU
+    lanes = lanes or (LANES_CPU if device.is_cpu else LANES_GPU)
     kernel = device.kernels(
         "shade.cl", KEEP=keep, CHANNELS=channels, SLICE_CHANNELS=slices.shape[1], N_SLICES=where.shape[1],
         GROUP=lanes,

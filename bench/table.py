@@ -1,0 +1,44 @@
+"""The README's tables from bench/results/*.json, as Markdown on standard output: `python bench/table.py`."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+RESULTS = Path(__file__).resolve().parent / "results"
+
+
+def accuracy() -> None:
+    """Error against the float64 reference, a line a scene, a column a material."""
+    data = json.loads((RESULTS / "accuracy.json").read_text(encoding="utf-8"))
+    materials = list(dict.fromkeys(row["material"] for row in data["rows"]))
+    print("| mesh | environment | " + " | ".join(f"`{m}`" for m in materials) + " |")
+    print("|---" * (2 + len(materials)) + "|")
+    scenes = list(dict.fromkeys((row["mesh"], row["environment"]) for row in data["rows"]))
+    for mesh, environment in scenes:
+        cells = [
+            f"{100 * row['relative_rmse']:.2f} % (±{100 * row['reference_noise']:.2f}), {row['seconds']:.0f} s"
+            for row in data["rows"]
+            if (row["mesh"], row["environment"]) == (mesh, environment)
+        ]
+        print(f"| {mesh} | {environment} | " + " | ".join(cells) + " |")
+    print(f"\n{data['size'][0]} × {data['size'][1]} pixels, {data['device']}, `{data['command']}`\n")
+
+
+def mitsuba() -> None:
+    """Error against the path tracer."""
+    path = RESULTS / "mitsuba.json"
+    if path.is_file():
+        data = json.loads(path.read_text(encoding="utf-8"))
+        print("| mesh | environment | material | relative RMSE | of which Mitsuba's noise | bias |")
+        print("|---|---|---|---|---|---|")
+        for row in data["rows"]:
+            print(
+                f"| {row['mesh']} | {row['environment']} | `{row['material']}` | {100 * row['relative_rmse']:.2f} % | "
+                f"{100 * row['mitsuba_noise']:.2f} % | {100 * row['bias']:+.2f} % |"
+            )
+
+
+if __name__ == "__main__":
+    accuracy()
+    mitsuba()
