@@ -8,8 +8,10 @@ from __future__ import annotations
 
 import argparse
 import os
+import re
 import sys
 from collections.abc import Sequence
+from typing import Any, NoReturn
 
 from prtcl._version import __version__
 from prtcl.errors import InputError, PrtclError
@@ -38,6 +40,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except Exception as error:
         if os.environ.get("PRTCL_DEBUG"):
             raise
+        if type(error).__module__.startswith("pyopencl"):
+            print(
+                f"prtcl {options.command}: the OpenCL device failed: {str(error).splitlines()[0]}\n"
+                "try another --device, fewer --levels or a smaller --size; PRTCL_DEBUG=1 shows more",
+                file=sys.stderr,
+            )
+            return 1
         print(
             f"prtcl {options.command}: {type(error).__name__}: {str(error).splitlines()[0] if str(error) else ''}\n"
             "this is a bug in prtcl or its OpenCL driver; PRTCL_DEBUG=1 shows the traceback",
@@ -46,9 +55,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 1
 
 
-def parser() -> argparse.ArgumentParser:
+class Parser(argparse.ArgumentParser):
+    """Errors of two lines, without the usage of some thirty options before them."""
+
+    def __init__(self, *arguments: Any, **options: Any) -> None:
+        super().__init__(*arguments, **options)
+        # What starts like a negative number is one: argparse takes -1e-3 for an option.
+        self._negative_number_matcher = re.compile(r"-\.?\d")
+
+    def error(self, message: str) -> NoReturn:
+        self.exit(2, f"{self.prog}: {message}\nsee {self.prog} --help\n")
+
+
+def parser() -> Parser:
     """The parser of all commands."""
-    top = argparse.ArgumentParser(
+    top = Parser(
         prog="prtcl",
         description="All-frequency relighting and material editing with 2D Haar wavelets on OpenCL.",
     )
@@ -160,17 +181,20 @@ def _demo(options: argparse.Namespace) -> int:
 def _render(options: argparse.Namespace) -> int:
     from prtcl.apps.render import run
 
-    if not options.output.lower().endswith(".exr"):
-        raise InputError(
-            f"--output {options.output}: expected a name that ends in .exr (--png adds a preview)"
-        )
+    _require_ending(options.output, ".exr", "; --png adds a preview")
     return run(options)
 
 
 def _bake(options: argparse.Namespace) -> int:
     from prtcl.apps.bake import run
 
+    _require_ending(options.output, ".npz", ", by which `prtcl render` knows a bake")
     return run(options)
+
+
+def _require_ending(output: str, ending: str, why: str) -> None:
+    if not output.lower().endswith(ending):
+        raise InputError(f"--output {output}: expected a name that ends in {ending}{why}")
 
 
 def _devices(options: argparse.Namespace) -> int:

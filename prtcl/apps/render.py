@@ -9,6 +9,7 @@ from pathlib import Path
 
 from prtcl.apps.progress import bar
 from prtcl.compute.device import Device
+from prtcl.errors import InputError
 from prtcl.files.atomic import check_writable
 from prtcl.scene.camera import Camera
 from prtcl.scene.scene import Render, Scene, read_environment
@@ -19,6 +20,10 @@ def run(options: argparse.Namespace) -> int:
     preview = None
     if options.png is not None:
         preview = Path(options.png) if options.png else Path(options.output).with_suffix(".png")
+        if preview.suffix.lower() != ".png":
+            raise InputError(f"--png {preview}: expected a name that ends in .png")
+    if not abs(options.exposure) <= 1000:
+        raise InputError(f"--exposure {options.exposure}: expected stops between -1000 and 1000")
     for path in filter(None, (options.output, preview)):
         check_writable(path)
     device = Device(options.device, precision=options.precision)
@@ -50,7 +55,7 @@ def run(options: argparse.Namespace) -> int:
     elif not options.quiet:
         print(summary(render, options.output))
     if options.explain:
-        print(explain(render))
+        print(explain(render), file=sys.stderr if options.json else sys.stdout)
     return 0
 
 

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import math
-import zipfile
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from prtcl.errors import InputError
+from prtcl.files.npz import read_npz
 
 KINDS = ("lambert", "ggx-conductor", "ggx-schlick", "blinn", "table")
 N_INTS, N_REALS = 4, 12
@@ -76,7 +75,7 @@ class Material:
             if ("f0" in given) == ("eta" in given or "k" in given):
                 raise InputError(f"brdf {spec}: expected f0, or both eta and k\nforms: {FORMS}")
             name = "ggx-schlick" if "f0" in given else "ggx-conductor"
-        if name not in _PARAMETERS:
+        elif name not in ("lambert", "blinn"):
             raise InputError(f"brdf {spec}: unknown kind {name!r}\nforms: {FORMS}")
         numbers: dict[str, Any] = {}
         for parameter, (low, high, default) in _PARAMETERS[name].items():
@@ -125,8 +124,8 @@ class Material:
         """GGX α of a lobe about as wide as this material's sharpest; 1 for a diffuse one.
 
         It decides how fine a hemisphere must be. Blinn's exponent n corresponds to α = √(2/(n + 2)) (Walter et
-        al. 2007, section 5); a table's lobe is taken where θ_h has fallen to half its peak, at which
-        tan θ_h = 0.644 α for GGX.
+        al. 2007, section 5); a table's lobe is taken where it has fallen to half its peak, at which GGX has
+        tan²θ_h = (√2 − 1) α² / (1 − √2 α²).
         """
         if self.kind.startswith("ggx"):
             return float(self.numbers["alpha"])
@@ -197,15 +196,7 @@ def _read_table(path: str, spec: str) -> Material:
     """values[nh, nd, 3], theta_h[nh], theta_d[nd] from an .npz."""
     if not path:
         raise InputError(f"brdf {spec}: expected table:FILE.npz")
-    try:
-        with np.load(Path(path), allow_pickle=False) as file:
-            found = {key: np.asarray(file[key]) for key in file.files}
-    except FileNotFoundError as error:
-        raise InputError(f"{path}: no such file") from error
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile, AttributeError, TypeError) as error:
-        raise InputError(
-            f"{path}: expected a NumPy .npz with values, theta_h and theta_d; it cannot be read ({error})"
-        ) from error
+    found = read_npz(path, "a table of values, theta_h and theta_d")
     missing = [key for key in ("values", "theta_h", "theta_d") if key not in found]
     if missing:
         there = ", ".join(found) or "nothing"
@@ -234,10 +225,13 @@ def from_table(
         If shapes do not fit, or a value or an angle is not finite, or the nodes do not ascend.
     """
     try:
-        table = np.asarray(values, dtype=np.float64)
-        nodes = [np.asarray(theta_h, dtype=np.float64), np.asarray(theta_d, dtype=np.float64)]
-    except (TypeError, ValueError) as error:
-        raise InputError(f"{name}: expected arrays of numbers ({error})") from error
+        given = [np.asarray(array) for array in (values, theta_h, theta_d)]
+    except ValueError as error:  # rows of different lengths
+        raise InputError(f"{name}: expected rectangular arrays ({error})") from error
+    if any(array.dtype.kind not in "fiu" for array in given):
+        kinds = ", ".join(str(array.dtype) for array in given)
+        raise InputError(f"{name}: expected arrays of real numbers, got {kinds}")
+    table, *nodes = (array.astype(np.float64) for array in given)
     if table.ndim == 2:
         table = np.repeat(table[..., None], 3, axis=2)
     if table.ndim != 3 or table.shape[2] != 3 or any(n.ndim != 1 or n.size < 1 for n in nodes):
@@ -277,5 +271,6 @@ def _table_roughness(table: dict[str, npt.NDArray[np.float64]]) -> float:
     for column in profile.T:
         fallen = np.nonzero(column < 0.5 * column[0])[0]
         if column[0] > 0 and fallen.size:
-            sharpest = min(sharpest, float(np.tan(min(table["theta_h"][fallen[0]], 1.5)) / 0.644))
+            tan = math.tan(min(table["theta_h"][fallen[0]], 1.5))
+            sharpest = min(sharpest, tan / math.sqrt(math.sqrt(2) - 1 + math.sqrt(2) * tan**2))
     return max(sharpest, 1e-3)

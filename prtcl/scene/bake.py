@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import os
-import zipfile
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -14,10 +14,22 @@ from prtcl._version import __version__
 from prtcl.errors import InputError
 from prtcl.factors.visibility import Progress, Tracer
 from prtcl.files.atomic import replacing
+from prtcl.files.npz import read_npz
 from prtcl.scene.mesh import Mesh, PartMaterial
 from prtcl.scene.points import vertex_points
 
 FORMAT = 1
+_LAYOUT = {
+    "format": ("i", ()),
+    "rays": ("i", ()),
+    "vertices": ("f8", ("vertices", 3)),
+    "faces": ("i4", ("faces", 3)),
+    "normals": ("f4", ("vertices", 3)),
+    "parts": ("i4", ("faces",)),
+    "materials": ("f8", ("parts", 5)),
+    "bits": ("u4", ("vertices", "words")),
+}
+"""Each array's dtype, or its kind, and shape; lengths of one name agree."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,39 +89,18 @@ class Bake:
             If the file is missing, damaged, no bake, or of a newer format.
         """
         name = os.fspath(path)
-        try:
-            with np.load(path, allow_pickle=False) as file:
-                data = {key: file[key] for key in file.files}
-        except FileNotFoundError as error:
-            raise InputError(f"{name}: no such file") from error
-        except (OSError, ValueError, EOFError, zipfile.BadZipFile, AttributeError, TypeError) as error:
-            raise InputError(
-                f"{name}: cannot be read as a bake ({error}); make it again: prtcl bake"
-            ) from error
-        missing = {
-            "format",
-            "vertices",
-            "faces",
-            "normals",
-            "parts",
-            "materials",
-            "rays",
-            "bits",
-        } - data.keys()
+        data = read_npz(path, "a bake made by `prtcl bake`")
+        missing = _LAYOUT.keys() - data.keys()
         if missing:
             raise InputError(
                 f"{name}: is no bake: {', '.join(sorted(missing))} missing; make one: prtcl bake"
             )
-        if int(data["format"]) != FORMAT:
+        if data["format"].shape != () or data["format"] != FORMAT:
             raise InputError(
-                f"{name}: a bake of format {int(data['format'])}; this prtcl reads format {FORMAT}: bake it again"
+                f"{name}: a bake of format {data['format']}; this prtcl reads format {FORMAT}: bake it again"
             )
+        _check(name, data)
         rays = int(data["rays"])
-        expected = (len(data["vertices"]), quadtree.visibility_words(rays) if 1 <= rays <= 9 else -1)
-        if data["bits"].shape != expected or data["bits"].dtype != np.uint32:
-            raise InputError(
-                f"{name}: bits expected {expected} uint32, got {data['bits'].shape}: bake it again"
-            )
         materials = tuple(
             None if np.isnan(row).any() else PartMaterial("", tuple(row[:3]), float(row[3]), float(row[4]))
             for row in data["materials"]
@@ -119,3 +110,29 @@ class Bake:
             materials, (),
         )  # fmt: skip
         return cls(mesh, data["bits"], rays)
+
+
+def _check(name: str, data: dict[str, npt.NDArray[Any]]) -> None:
+    """Refuse arrays that do not fit each other or would lead a kernel or embree out of bounds."""
+    rays = int(data["rays"]) if data["rays"].shape == () else 0
+    lengths = {"words": quadtree.visibility_words(rays) if 1 <= rays <= quadtree.MAX_LEVELS else -1}
+    for key, (kind, shape) in _LAYOUT.items():
+        array = data[key]
+        fits = array.dtype.str[1:].startswith(kind) and array.ndim == len(shape)
+        if fits:
+            for length, got in zip(shape, array.shape, strict=True):
+                fits &= got == (lengths.setdefault(length, got) if isinstance(length, str) else length)
+        if not fits:
+            wanted = ", ".join(str(lengths.get(str(length), length)) for length in shape)
+            raise InputError(
+                f"{name}: {key} expected {kind} of shape ({wanted}), got {array.dtype} of {array.shape}; "
+                "the bake is damaged: make it again"
+            )
+    for key, below in (("faces", lengths["vertices"]), ("parts", lengths["parts"])):
+        if not data[key].size or data[key].min() < 0 or data[key].max() >= below:
+            raise InputError(
+                f"{name}: {key} expected from 0 to {below - 1}; the bake is damaged: make it again"
+            )
+    for key in ("vertices", "normals"):
+        if not np.isfinite(data[key]).all():
+            raise InputError(f"{name}: {key} are NaN or infinite; the bake is damaged: make it again")

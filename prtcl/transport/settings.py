@@ -84,7 +84,7 @@ def choose(material: Material, subpixels: bool = True) -> tuple[Settings, str]:
     if alpha >= 0.25:
         settings = Settings(levels=5, rays=rays, keep=5, views=128, pixel_error=0.01)
     elif alpha >= 0.08:
-        settings = Settings(levels=6, rays=rays, keep=6, views=256, pixel_error=0.02)
+        settings = Settings(levels=6, rays=rays, keep=6, views=256, pixel_error=0.015)
     else:
         settings = Settings(levels=7, rays=rays + 1, keep=7, views=512, pixel_error=0.02)
     return settings, f"{material.spec}: its lobe is as wide as that of GGX alpha {alpha:.3g}"
