@@ -32,5 +32,7 @@ for spec in ("lambert:albedo=0.5", "ggx:alpha=0.3,f0=0.04,kd=0.4"):
     f = reference.slice_samples(prtcl.Material.parse(spec).reference(), straight_up[0], LEVELS, supersample=2)
     exact = np.einsum("ncs,sc->nc", light * seen, f) * 2 * np.pi / 4**LEVELS
     error = np.sqrt(((radiance - exact) ** 2).mean()) / exact.mean()
-    print(f"{spec}: mean radiance {radiance.mean():.4f}, float64 {exact.mean():.4f}, relative RMSE {error:.1e}")
+    print(
+        f"{spec}: mean radiance {radiance.mean():.4f}, float64 {exact.mean():.4f}, relative RMSE {error:.1e}"
+    )
     assert error < 2e-3  # two grids of subsamples differ by this much; the arithmetic itself by 1e-6

@@ -339,7 +339,12 @@ def test_the_spec_of_a_gltf_material_reads_as_the_same_material() -> None:
 def test_packing_keeps_the_numbers_and_the_tables() -> None:
     table = from_table(values(), THETA_H, THETA_D)
     other = from_table(values(1)[:2], THETA_H[:2], THETA_D)
-    list_ = [Material.parse("lambert:albedo=0.1/0.2/0.3"), table, Material.parse("ggx:alpha=0.3,eta=1,k=2"), other]
+    list_ = [
+        Material.parse("lambert:albedo=0.1/0.2/0.3"),
+        table,
+        Material.parse("ggx:alpha=0.3,eta=1,k=2"),
+        other,
+    ]
     ints, reals, tables = pack(list_)
     assert [KINDS[i] for i in ints[:, 0]] == ["lambert", "table", "ggx-conductor", "table"]
     assert (reals[0, :3] == [0.1, 0.2, 0.3]).all()

@@ -96,7 +96,9 @@ def projected(camera: Camera, bounds: NDArray[np.float64]) -> NDArray[np.float64
 @given(
     low=st.tuples(*[st.floats(-1e3, 1e3)] * 3),
     extent=st.tuples(*[st.floats(0.01, 50)] * 3),
-    up=st.sampled_from([(0.0, 1.0, 0.0), (0.0, 0.0, 1.0), (1.0, 0.0, 0.0), (0.0, -2.0, 0.0), (1.0, 2.0, -3.0)]),
+    up=st.sampled_from(
+        [(0.0, 1.0, 0.0), (0.0, 0.0, 1.0), (1.0, 0.0, 0.0), (0.0, -2.0, 0.0), (1.0, 2.0, -3.0)]
+    ),
     fov=st.floats(3.0, 170.0),
     size=st.tuples(st.integers(1, 2000), st.integers(1, 2000)),
 )
@@ -114,7 +116,9 @@ def test_framing_sees_the_whole_box(
 def test_framing_fills_the_image() -> None:
     """The ball around the box touches the border, so the box reaches at least a third of the way to it."""
     for size in ((100, 100), (300, 100), (100, 300)):
-        seen = projected(Camera.framing(np.array([[-1.0] * 3, [1.0] * 3]), size=size), np.array([[-1] * 3, [1] * 3]))
+        seen = projected(
+            Camera.framing(np.array([[-1.0] * 3, [1.0] * 3]), size=size), np.array([[-1] * 3, [1] * 3])
+        )
         assert 0.6 < np.abs(seen[:, :2]).max() <= 1.0
 
 
@@ -198,8 +202,19 @@ def test_errors_name_what_is_wrong(change: dict[str, Any], message: str) -> None
         Camera(**{"eye": (0.0, 0.0, 5.0), "target": (0.0, 0.0, 0.0), **change})
 
 
-@pytest.mark.parametrize("change", [{"up": (0.0, 0.0, 0.0)}, {"fov": 0.0}, {"fov": 180.0}, {"fov": 200.0}, {"size": (0, 4)},
-                                    {"size": (4, 0)}, {"up": (np.nan, 0.0, 0.0)}, {"target": (np.nan, 0, 0)}])  # fmt: skip
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"up": (0.0, 0.0, 0.0)},
+        {"up": (np.nan, 0.0, 0.0)},
+        {"target": (np.nan, 0.0, 0.0)},
+        {"fov": 0.0},
+        {"fov": 180.0},
+        {"fov": 200.0},
+        {"size": (0, 4)},
+        {"size": (4, 0)},
+    ],
+)
 def test_framing_makes_the_same_checks(change: dict[str, Any]) -> None:
     with pytest.raises(InputError, match=f"^({next(iter(change))}):"):
         Camera.framing(np.array([[0.0] * 3, [1.0] * 3]), **change)

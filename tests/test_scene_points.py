@@ -72,7 +72,9 @@ def test_hits_lie_on_the_rays_and_on_the_sphere() -> None:
 
 def test_pixels_are_numbered_row_by_row_from_the_top_left() -> None:
     """A small patch up and to the right in world space is seen up and to the right in the image."""
-    mesh = Mesh.from_arrays([[0.4, 0.4, 0], [0.9, 0.4, 0], [0.9, 0.9, 0], [0.4, 0.9, 0]], [[0, 1, 2], [0, 2, 3]])
+    mesh = Mesh.from_arrays(
+        [[0.4, 0.4, 0], [0.9, 0.4, 0], [0.9, 0.9, 0], [0.4, 0.9, 0]], [[0, 1, 2], [0, 2, 3]]
+    )
     camera = Camera((0, 0, 1 / np.tan(np.radians(20))), (0, 0, 0), fov=40.0, size=(20, 20))  # sees [−1, 1]²
     tracer = Tracer(mesh.vertices, mesh.faces)
     pixels = np.arange(400)
@@ -109,7 +111,9 @@ def test_frames_are_orthonormal_right_handed_and_turned_to_the_viewer(
 def test_a_view_straight_along_the_normal_still_has_a_frame() -> None:
     mesh = Mesh.from_arrays([[-1, 0, -1], [1, 0, -1], [0, 0, 2]], [[0, 2, 1]])
     tracer = Tracer(mesh.vertices, mesh.faces)
-    hits = Hits(np.array([0]), np.array([0], np.int32), np.array([[0.4, 0.3, 0.3]]), np.array([[0.0, 1.0, 0.0]]))
+    hits = Hits(
+        np.array([0]), np.array([0], np.int32), np.array([[0.4, 0.3, 0.3]]), np.array([[0.0, 1.0, 0.0]])
+    )
     frame = pixel_points(mesh, tracer, hits, np.array([0])).frames[0].astype(np.float64)
     assert np.abs(frame @ frame.T - np.eye(3)).max() < 8 * U
     assert np.abs(frame[2] - [0, 1, 0]).max() < U
@@ -138,8 +142,12 @@ def test_vertex_normals_are_interpolated_and_made_unit() -> None:
 
 
 def test_normals_that_cancel_fall_back_to_the_face() -> None:
-    mesh = Mesh.from_arrays([[-1, 0, -1], [1, 0, -1], [0, 0, 2]], [[0, 2, 1]], [[1, 0, 0], [-1, 0, 0], [0, 1, 0]])
-    hits = Hits(np.array([0]), np.array([0], np.int32), np.array([[0.5, 0.0, 0.5]]), np.array([[0.0, 0.6, 0.8]]))
+    mesh = Mesh.from_arrays(
+        [[-1, 0, -1], [1, 0, -1], [0, 0, 2]], [[0, 2, 1]], [[1, 0, 0], [-1, 0, 0], [0, 1, 0]]
+    )
+    hits = Hits(
+        np.array([0]), np.array([0], np.int32), np.array([[0.5, 0.0, 0.5]]), np.array([[0.0, 0.6, 0.8]])
+    )
     points = pixel_points(mesh, Tracer(mesh.vertices, mesh.faces), hits, np.array([0]))
     assert np.abs(points.frames[0, 2] - [0, 1, 0]).max() < U
 
@@ -160,7 +168,7 @@ def test_two_sided_a_surface_seen_from_behind_turns_to_the_viewer(normals: bool)
 
 def test_one_sided_a_surface_seen_from_behind_has_its_view_below_the_horizon() -> None:
     """Every BRDF is zero there: the point is black."""
-    points, hits, _ = seen(sphere(2, normals=False, inwards=True), OUTSIDE, two_sided=False)
+    points, _, _ = seen(sphere(2, normals=False, inwards=True), OUTSIDE, two_sided=False)
     assert (points.views[:, 2] < 0).all()
     front, _, _ = seen(sphere(2, normals=False), OUTSIDE, two_sided=False)
     assert (front.views[:, 2] > 0).all()

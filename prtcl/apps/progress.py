@@ -21,7 +21,9 @@ def bar(what: str, quiet: bool) -> Iterator[Notify | None]:
     from tqdm import tqdm
 
     lock = threading.Lock()
-    with tqdm(desc=what, unit=" points", unit_scale=True, total=0, delay=0.5, dynamic_ncols=True) as shown:
+    with tqdm(
+        desc=what, disable=None, unit=" points", unit_scale=True, total=0, delay=0.5, dynamic_ncols=True
+    ) as shown:
 
         def notify(done: int, known: int) -> None:
             with lock:

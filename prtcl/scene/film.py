@@ -13,6 +13,8 @@ Array = npt.NDArray[np.float64]
 
 FIRST = 4
 """Points that every pixel starts with: 2 × 2."""
+FIRST_HARD = 16
+"""The same for hard light: 4 × 4, each of some tens of rays where a point of soft light takes hundreds."""
 
 
 class Film:

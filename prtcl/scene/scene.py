@@ -20,10 +20,10 @@ from prtcl.files.image import write_exr, write_png
 from prtcl.files.radiance import read_radiance, require_equirectangular
 from prtcl.scene.bake import Bake
 from prtcl.scene.camera import Camera
-from prtcl.scene.film import FIRST, Film
+from prtcl.scene.film import FIRST, FIRST_HARD, Film
 from prtcl.scene.mesh import Mesh, read_mesh
 from prtcl.scene.points import check_eye, shoot
-from prtcl.scene.shaders import Counter, Layer, Notify, PixelShader, Shader, VertexShader
+from prtcl.scene.shaders import Counter, Layer, Notify, PixelShader, VertexShader
 from prtcl.transport.pipeline import Pipelines, Points
 from prtcl.transport.settings import Settings, choose
 
@@ -187,30 +187,30 @@ class Scene:
             polar=self.bake is None,
         )
         count = Counter(progress)
-        layers = [
-            Layer(Film(self.camera.size), shader, most)
-            for shader, most in self._shaders(pipeline, count, vertex)
-        ]
+        layers = self._layers(pipeline, count, vertex)
         everything = np.arange(self.camera.size[0] * self.camera.size[1])
         for layer in layers:
-            self._expose(layer, everything, 0, FIRST if samples is None else samples**2)
+            self._expose(layer, everything, 0, layer.first if samples is None else samples**2)
         if samples is None:
             self._refine(layers)
         report = self._report(pipeline, layers, count, vertex, time.perf_counter() - start)
         return Render(self._develop(layers), report)
 
-    def _shaders(self, pipeline: Pipelines, count: Counter, vertex: bool) -> list[tuple[Shader, int]]:
+    def _layers(self, pipeline: Pipelines, count: Counter, vertex: bool) -> list[Layer]:
         """What is sampled on its own, and up to how many points a pixel.
 
         Soft light costs a hemisphere of rays a point and varies slowly; hard light costs a few rays and brings
-        the sharp highlights and shadow edges. Apart, each gets only the points it needs.
+        the sharp highlights and shadow edges. Apart, each gets only the points it needs. Hard light starts with
+        more: four points that all miss a glint say nothing of it.
         """
+        film = Film(self.camera.size)
         if vertex:
-            return [(VertexShader(self, pipeline, count), MOST)]
-        shaders: list[tuple[Shader, int]] = [(PixelShader(self, pipeline.soft, count, "soft"), MOST)]
+            return [Layer(film, VertexShader(self, pipeline, count), FIRST, MOST)]
+        layers = [Layer(film, PixelShader(self, pipeline.soft, count, "soft"), FIRST, MOST)]
         if len(pipeline.light.hard):
-            shaders.append((PixelShader(self, pipeline.hard, count, "hard"), MOST_HARD))
-        return shaders
+            shader = PixelShader(self, pipeline.hard, count, "hard")
+            layers.append(Layer(Film(self.camera.size), shader, FIRST_HARD, MOST_HARD))
+        return layers
 
     def _refine(self, layers: list[Layer]) -> None:
         """Four times the points, again and again, where the estimated error is largest."""

@@ -46,10 +46,11 @@ class Shader(Protocol):
 
 @dataclass(frozen=True)
 class Layer:
-    """A film, what exposes it, and how many points a pixel of it may take."""
+    """A film, what exposes it, and how many points a pixel of it starts with and may end with."""
 
     film: Film
     shader: Shader
+    first: int
     most: int
 
 
