@@ -1,11 +1,11 @@
 """The acceptance table: `prtcl render` at its defaults against the float64 reference at a higher resolution.
 
-    python bench/accuracy.py [-o bench/results/accuracy.json] [--pixels 40] [--size 110x90]
+    python bench/accuracy.py [-o bench/results/accuracy.json] [--pixels 24] [--size 72x60]
 
 Meshes and environments are those of bench/scenes.py. The reference is equation (1) in float64 NumPy
 (`prtcl.reference`), at a sample of covered pixels stratified by their brightness. In every pixel the light below a
-threshold is summed at 256 points, each with 32 x 32 directions of a cell place of its own, and the light above it at
-512 points with a sample for every half texel; rays by embree as in the render. What is reported is relative RMSE
+threshold is summed at 128 points, each with 32 x 32 directions of a cell place of its own, and the light above it at
+256 points with a sample for every half texel; rays by embree as in the render. What is reported is relative RMSE
 over the sampled pixels and all channels, and the reference's own noise: it is made in two halves, each a stratified
 set of points, and a quarter of their squared difference is the variance of their mean.
 """
@@ -31,7 +31,7 @@ from prtcl.scene.scene import Scene
 
 THRESHOLD = 30.0
 """Peaks start at this many times the mean radiance: well above the render's own threshold of ten."""
-LEVELS, SOFT_POINTS, HARD_POINTS = 5, 256, 512
+LEVELS, SOFT_POINTS, HARD_POINTS = 5, 128, 256
 
 
 def reference_pixel(
@@ -71,8 +71,8 @@ def reference_pixel(
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("-o", "--output", type=Path)
-    parser.add_argument("--pixels", type=int, default=40)
-    parser.add_argument("--size", type=size, default=(110, 90))
+    parser.add_argument("--pixels", type=int, default=24)
+    parser.add_argument("--size", type=size, default=(72, 60))
     parser.add_argument("--meshes", nargs="*", default=scenes.MESHES)
     parser.add_argument("--environments", nargs="*", default=scenes.ENVIRONMENTS)
     options = parser.parse_args()

@@ -368,7 +368,7 @@ def test_directions_and_mean_cosines(levels: int) -> None:
 
 
 def test_cell_offsets_move_the_sample_inside_its_cell() -> None:
-    assert hemisphere.cell_offset(0) == (0.5, 0.5)
+    assert hemisphere.cell_offset(hemisphere.ALONE) == (0.5, 0.5)
     offsets = np.array([hemisphere.cell_offset(i) for i in range(64)])
     assert ((offsets >= 0) & (offsets < 1)).all()
     assert len(np.unique((offsets * 4).astype(int), axis=0)) == 16  # every sixteenth of the cell is visited

@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from prtcl.errors import InputError
-from prtcl.scene.camera import Camera, subpixel
+from prtcl.factors.sequence import stratified
+from prtcl.scene.camera import Camera
 
 EXACT = 1e-14
 """Some tens of float64 roundings of numbers of order 1."""
@@ -150,7 +151,7 @@ def test_framing_sees_the_whole_box_about_a_given_target_too(target: Any) -> Non
 
 @pytest.mark.parametrize("side", [1, 2, 4, 8, 16, 32])
 def test_the_first_n_by_n_points_lie_one_in_each_cell(side: int) -> None:
-    x, y = subpixel(np.arange(side * side))
+    x, y = stratified(np.arange(side * side))
     assert ((x >= 0) & (x < 1) & (y >= 0) & (y < 1)).all()
     cells = (y * side).astype(int) * side + (x * side).astype(int)
     assert sorted(cells) == list(range(side * side))
@@ -161,21 +162,21 @@ def test_every_power_of_two_is_stratified_in_every_shape_of_cell(wide: int, tall
     """What makes it a (0, 2)-sequence: any aligned run of wide · tall points, not only the first."""
     count = wide * tall
     for run in range(3):
-        x, y = subpixel(np.arange(run * count, (run + 1) * count))
+        x, y = stratified(np.arange(run * count, (run + 1) * count))
         assert len(set(zip((x * wide).astype(int), (y * tall).astype(int), strict=True))) == count
 
 
 @pytest.mark.parametrize("side", [2, 4, 8, 16])
 def test_points_do_not_shift_the_picture(side: int) -> None:
     """Their mean is within a tenth of a stratum of the pixel's centre; plain bit reversal is half a one off."""
-    x, y = subpixel(np.arange(side * side))
+    x, y = stratified(np.arange(side * side))
     assert abs(x.mean() - 0.5) <= 0.1 / side and abs(y.mean() - 0.5) <= 0.1 / side
 
 
 def test_points_do_not_depend_on_what_else_is_asked_for() -> None:
-    x, y = subpixel(np.arange(100))
+    x, y = stratified(np.arange(100))
     some = np.array([7, 99, 0, 7])
-    assert (subpixel(some)[0] == x[some]).all() and (subpixel(some)[1] == y[some]).all()
+    assert (stratified(some)[0] == x[some]).all() and (stratified(some)[1] == y[some]).all()
 
 
 # --- errors --------------------------------------------------------------------------------------------------

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from prtcl.scene.camera import subpixel
+from prtcl.factors.sequence import stratified
 from prtcl.scene.film import FIRST, Film
 
 Array = NDArray[np.float64]
@@ -24,7 +24,7 @@ def expose(
     """Points first … last − 1 of some pixels (default: all) of a picture that is known everywhere."""
     some = np.arange(film.width * film.height) if pixels is None else pixels
     pixel, sub = np.repeat(some, last - first), np.tile(np.arange(first, last), len(some))
-    dx, dy = subpixel(sub)
+    dx, dy = stratified(sub)
     values = picture(pixel % film.width + dx, pixel // film.width + dy)
     hit = np.nonzero(~np.isnan(values))[0]
     film.add(some, first, last, hit, np.repeat(values[hit, None], 3, axis=1))

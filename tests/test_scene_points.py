@@ -11,8 +11,9 @@ import trimesh
 from numpy.typing import NDArray
 
 from prtcl.errors import InputError
+from prtcl.factors.sequence import stratified
 from prtcl.factors.visibility import OFFSET, Tracer
-from prtcl.scene.camera import Camera, subpixel
+from prtcl.scene.camera import Camera
 from prtcl.scene.mesh import Mesh
 from prtcl.scene.points import Hits, check_eye, face_normals, pixel_points, shoot, vertex_points, with_eye
 from prtcl.transport.pipeline import Points
@@ -304,7 +305,7 @@ def test_a_mesh_thinner_than_a_pixel_is_seen() -> None:
     """Its one pixel's first point misses it, a later one does not."""
     camera = Camera((0.0, 0.0, 110.0), (0.0, 0.0, 0.0), size=(5, 5))
     pixel = 2 * 110 * np.tan(np.radians(20)) / 5
-    for x, y in zip(*subpixel(np.arange(4)), strict=True):
+    for x, y in zip(*stratified(np.arange(4)), strict=True):
         mesh = Mesh.from_arrays(box().vertices + [pixel * (x - 0.5), pixel * (0.5 - y), 0], box().faces)
         check_eye(Tracer(mesh.vertices, mesh.faces), mesh, camera)
 

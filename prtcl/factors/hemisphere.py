@@ -12,20 +12,25 @@ import numpy as np
 import numpy.typing as npt
 
 from prtcl import quadtree
+from prtcl.factors.sequence import stratified
 
 CENTRE = (0.5, 0.5)
 
-# The generalised golden ratio of the plane: the real root of x³ = x + 1 (Kronecker's sequence, "R2").
-_PLASTIC = 1.32471795724474602596
+ALONE = -1
+"""The visibility grid of a point that shares no pixel with others: samples at the cells' centres."""
 
 
-def cell_offset(index: int) -> tuple[float, float]:
-    """Place of the sample inside its cell for the `index`-th visibility grid: 0 is the centre.
+def cell_offset(grid: int) -> tuple[float, float]:
+    """Place of the sample inside its cell for a visibility grid: number of the point in its pixel, or `ALONE`.
 
-    Grids with different places let the sub-pixel points of one pixel see the scene through a finer grid
-    together than each has alone. Low-discrepancy (Kronecker, plastic number), so any first few spread well.
+    Grids with different places let the sub-pixel points of one pixel see the scene through a finer grid together
+    than each has alone. The places are stratified like the points themselves, and centred: places that lean to one
+    side (a Kronecker sequence did, 0.38 on average for the first four) darken or brighten grazing directions.
     """
-    return ((0.5 + index / _PLASTIC) % 1.0, (0.5 + index / _PLASTIC**2) % 1.0)
+    if grid == ALONE:
+        return CENTRE
+    x, y = stratified(grid)
+    return float(y), float(x)
 
 
 @lru_cache(maxsize=256)

@@ -132,11 +132,15 @@ class Tracer:
         words = quadtree.visibility_words(levels)
         bits = np.zeros((len(origins), words), dtype=np.uint32)
         tables: dict[int, npt.NDArray[np.float32]] = {}
-        for index in (0,) if grid is None else np.unique(grid):
+        for index in (hemisphere.ALONE,) if grid is None else np.unique(grid):
             tables[int(index)] = hemisphere.directions(levels, hemisphere.cell_offset(int(index)))[:, :3]
 
         def run(part: slice) -> None:
-            local = tables[0] if grid is None else np.stack([tables[int(index)] for index in grid[part]])
+            local = (
+                tables[hemisphere.ALONE]
+                if grid is None
+                else np.stack([tables[int(index)] for index in grid[part]])
+            )
             world = np.matmul(local, frames[part]).reshape(-1, 3)
             hidden = self.occluded(np.repeat(origins[part], count, axis=0), world)
             bits[part] = _pack(~hidden.reshape(-1, count), words)

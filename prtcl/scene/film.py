@@ -7,7 +7,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from prtcl.scene.camera import subpixel
+from prtcl.factors.sequence import stratified
 
 Array = npt.NDArray[np.float64]
 
@@ -105,6 +105,6 @@ def _local_variance(values: Array, first: int, last: int) -> Array:
         return np.zeros(len(values))
     if not nested:
         return np.asarray(values.var(axis=1, ddof=1))
-    x, y = subpixel(np.arange(first, last))
+    x, y = stratified(np.arange(first, last))
     order = np.argsort((y * side).astype(np.int64) * side + (x * side).astype(np.int64), kind="stable")
     return np.asarray(values[:, order].reshape(len(values), blocks, -1).var(axis=2, ddof=1).mean(axis=1))

@@ -9,8 +9,9 @@ import numpy.typing as npt
 
 from prtcl.errors import InputError
 from prtcl.factors import hemisphere
+from prtcl.factors.sequence import stratified
 from prtcl.factors.visibility import Tracer
-from prtcl.scene.camera import Camera, subpixel
+from prtcl.scene.camera import Camera
 from prtcl.scene.mesh import Mesh
 from prtcl.transport.pipeline import Points
 
@@ -38,7 +39,7 @@ class Hits:
 def shoot(tracer: Tracer, camera: Camera, pixel: npt.NDArray[np.int64], sub: npt.NDArray[np.int64]) -> Hits:
     """Primary rays through sub-pixel points: pixel (flat index, row by row) and number within the pixel."""
     width = camera.size[0]
-    dx, dy = subpixel(sub)
+    dx, dy = stratified(sub)
     directions = camera.rays(pixel % width + dx, pixel // width + dy)
     eyes = np.broadcast_to(np.asarray(camera.eye, dtype=np.float64), directions.shape)
     face, uv = tracer.intersect(eyes, directions)
@@ -155,8 +156,8 @@ def vertex_points(
     views = np.tile(np.array([0.0, 0.0, 1.0], dtype=np.float32), (len(chosen), 1))
     if towards is not None:
         views = np.einsum("nij,nj->ni", frames, towards).astype(np.float32)
-    zero = np.zeros(len(chosen), dtype=np.int32)
-    return Points(tracer.origins(positions, normal), frames, views, part[chosen], zero, eye is not None)
+    alone = np.full(len(chosen), hemisphere.ALONE, dtype=np.int32)
+    return Points(tracer.origins(positions, normal), frames, views, part[chosen], alone, eye is not None)
 
 
 def with_eye(points: Points, positions: Array, eye: npt.ArrayLike) -> Points:

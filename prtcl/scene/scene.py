@@ -117,7 +117,7 @@ class Scene:
     ) -> None:
         self.bake: Bake | None = None
         if not isinstance(mesh, Mesh | Bake):
-            mesh = Bake.load(mesh) if os.fspath(mesh).endswith(".npz") else read_mesh(mesh)
+            mesh = Bake.load(mesh) if os.fspath(mesh).lower().endswith(".npz") else read_mesh(mesh)
         if isinstance(mesh, Bake):
             self.bake, mesh = mesh, mesh.mesh
             settings = {**settings, "rays": self.bake.rays}
@@ -138,15 +138,15 @@ class Scene:
         self.device = device or Device()
         self.two_sided = two_sided
         self._by_hand = settings
-        self.settings = self._settings(subpixels=self.bake is None)
+        self.settings = self._settings()
         with self.device.profile.host("build_bvh"):
             self.tracer = Tracer(self.mesh.vertices, self.mesh.faces)
 
-    def _settings(self, subpixels: bool) -> list[tuple[Settings, str]]:
+    def _settings(self) -> list[tuple[Settings, str]]:
         """What every material needs, with what was fixed by hand on top, and why."""
         out = []
         for material in self.materials:
-            chosen, reason = choose(material, subpixels)
+            chosen, reason = choose(material)
             if self.bake is not None and self._by_hand.get("levels") is None:
                 chosen = replace(chosen, levels=max(chosen.levels, self.bake.rays))
             out.append((chosen.with_defaults(**self._by_hand), reason))
@@ -177,8 +177,6 @@ class Scene:
         self.device.profile.reset()
         check_eye(self.tracer, self.mesh, self.camera)
         vertex = points == "vertex" or self.bake is not None
-        # A point that no other supports needs a finer grid of its own.
-        self.settings = self._settings(subpixels=not vertex and samples != 1)
         pipeline = Pipelines(
             self.device,
             self.environment,
