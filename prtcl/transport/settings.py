@@ -80,7 +80,7 @@ def choose(material: Material) -> tuple[Settings, str]:
     if alpha >= 0.25:
         settings = Settings(levels=5, rays=5, keep=5, views=128, pixel_error=0.01)
     elif alpha >= 0.08:
-        settings = Settings(levels=6, rays=5, keep=6, views=256, pixel_error=0.015)
+        settings = Settings(levels=6, rays=5, keep=6, views=256, pixel_error=0.01)
     else:
         settings = Settings(levels=7, rays=6, keep=7, views=512, pixel_error=0.02)
     return settings, f"{material.spec}: its lobe is as wide as that of GGX alpha {alpha:.3g}"
