@@ -166,7 +166,8 @@ def test_each_point_takes_its_own_place_in_the_cells() -> None:
         alone = tracer.visibility(origins, frames, 3, np.full(len(origins), place, np.int32))
         assert (mixed[grid == place] == alone[grid == place]).all()
         assert (alone != mixed).any()
-    assert (tracer.visibility(origins, frames, 3) == tracer.visibility(origins, frames, 3, 0 * grid + hemisphere.ALONE)).all()
+    centred = tracer.visibility(origins, frames, 3, np.full_like(grid, hemisphere.ALONE))
+    assert (tracer.visibility(origins, frames, 3) == centred).all()
 
 
 def test_batches_agree_and_progress_adds_up(monkeypatch: pytest.MonkeyPatch) -> None:
