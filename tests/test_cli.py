@@ -97,6 +97,13 @@ def test_render_writes_an_image_and_says_so(run: Run, files: Path, tiny: list[st
     assert os.listdir(files / "out") == ["a.exr"]
 
 
+def test_an_input_is_never_overwritten(run: Run, files: Path, tiny: list[str]) -> None:
+    environment = files / "sky.exr"
+    before = environment.read_bytes()
+    ran = run(*tiny, "-o", environment)
+    assert ran.status == 2 and "sky.exr" in ran.err and environment.read_bytes() == before
+
+
 def test_png_adds_a_preview(run: Run, files: Path, tiny: list[str]) -> None:
     assert run(*tiny, "-o", files / "out" / "a.exr", "--png").status == 0
     assert sorted(os.listdir(files / "out")) == ["a.exr", "a.png"]
@@ -509,7 +516,11 @@ def test_an_interrupted_bake_leaves_the_old_one(
 
     monkeypatch.setattr("prtcl.scene.bake.np.savez", interrupt)
     ran = run("bake", files / "ball.ply", "-o", output, "--rays", "1", "--quiet")
-    assert (ran.status, ran.out, ran.err) == (130, "", "prtcl bake: interrupted; no output was touched\n")
+    assert (ran.status, ran.out, ran.err) == (
+        130,
+        "",
+        "prtcl bake: interrupted; no output was left half written\n",
+    )
     assert os.listdir(files / "out") == ["a.npz"] and output.read_bytes() == b"the old bake"
 
 

@@ -8,7 +8,7 @@ import sys
 import time
 
 from prtcl.apps.progress import bar
-from prtcl.files.atomic import check_writable
+from prtcl.files.atomic import check_not_input, check_writable
 from prtcl.scene.bake import Bake
 from prtcl.scene.mesh import read_mesh
 from prtcl.scene.shaders import Counter
@@ -17,6 +17,7 @@ from prtcl.scene.shaders import Counter
 def run(options: argparse.Namespace) -> int:
     """Trace and save."""
     check_writable(options.output)
+    check_not_input(options.output, options.mesh)
     start = time.perf_counter()
     mesh = read_mesh(options.mesh)
     mesh = mesh.smooth() if options.smooth else mesh

@@ -31,7 +31,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
               file=sys.stderr)  # fmt: skip
         return 1
     except KeyboardInterrupt:
-        print(f"prtcl {options.command}: interrupted; no output was touched", file=sys.stderr)
+        print(f"prtcl {options.command}: interrupted; no output was left half written", file=sys.stderr)
         return 130
     except BrokenPipeError:
         # The reader of our output (head, a pager) went away; keep the interpreter from complaining at exit.
@@ -169,7 +169,7 @@ def size(text: str) -> tuple[int, int]:
     return int(parts[0]), int(parts[1])
 
 
-# Commands are imported when they run: `prtcl --help` need not wait for NumPy and OpenCL.
+# Commands are imported when they run: `prtcl --help` need not wait for OpenCL and trimesh.
 
 
 def _demo(options: argparse.Namespace) -> int:

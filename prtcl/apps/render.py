@@ -10,7 +10,7 @@ from pathlib import Path
 from prtcl.apps.progress import bar
 from prtcl.compute.device import Device
 from prtcl.errors import InputError
-from prtcl.files.atomic import check_writable
+from prtcl.files.atomic import check_not_input, check_writable
 from prtcl.scene.camera import Camera
 from prtcl.scene.scene import Render, Scene, read_environment
 
@@ -26,6 +26,7 @@ def run(options: argparse.Namespace) -> int:
         raise InputError(f"--exposure {options.exposure}: expected stops between -1000 and 1000")
     for path in filter(None, (options.output, preview)):
         check_writable(path)
+        check_not_input(path, options.mesh, options.env)
     device = Device(options.device, precision=options.precision)
     environment, notes = read_environment(
         options.env, rotate=options.env_rotate, up=options.env_up, repair=options.repair

@@ -12,6 +12,21 @@ from pathlib import Path
 from prtcl.errors import InputError
 
 
+def check_not_input(output: str | os.PathLike[str], *inputs: str | os.PathLike[str]) -> None:
+    """Refuse an output that is one of the files the job reads: it would be replaced by the result.
+
+    Raises
+    ------
+    InputError
+        `output` and an input are the same file.
+    """
+    for path in inputs:
+        if Path(path).exists() and Path(path).resolve() == Path(output).resolve():
+            raise InputError(
+                f"{os.fspath(output)}: is an input of this job and would be overwritten; name another output"
+            )
+
+
 def check_writable(path: str | os.PathLike[str]) -> None:
     """Refuse an output path that cannot be written, before any work is done. Leaves nothing behind.
 

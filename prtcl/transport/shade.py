@@ -14,8 +14,8 @@ from prtcl.factors.slices import Materials
 
 GROUP = 64
 LANES_CPU, LANES_GPU = 4, 64
-"""Work-items a point for the inner product. A CPU's vectors are short and its barriers are loops: four lanes ran 3.4
-times as fast as 64 on PoCL (bench/reduce.py shows both)."""
+"""Work-items a point for the inner product. A CPU's vectors are short and its barriers are loops: four lanes ran 1.4
+to 1.8 times as fast as 64 on PoCL (bench/reduce.py shows both)."""
 
 
 def soft_radiance(
