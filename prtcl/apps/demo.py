@@ -20,7 +20,7 @@ from prtcl.scene.scene import Scene
 
 MATTE = ("lambert:albedo=0.45/0.42/0.38", "lambert:albedo=0.7/0.25/0.15", "lambert:albedo=0.2/0.35/0.6",
          "lambert:albedo=0.75", "lambert:albedo=0.6/0.55/0.3")  # fmt: skip
-# Gold's and copper's indices at Rec.709's primaries are rounded from the tables of Johnson & Christy 1972.
+# Gold's and copper's indices are approximate, one for each of Rec.709's primaries.
 STUDIO = ("lambert:albedo=0.45/0.42/0.38", "ggx:alpha=0.25,eta=0.18/0.42/1.37,k=3.4/2.35/1.77",
           "ggx:alpha=0.1,f0=0.04,kd=0.05/0.25/0.5", "ggx:alpha=0.3,f0=0.04,kd=0.75/0.7/0.62",
           "ggx:alpha=0.3,eta=0.27/0.68/1.22,k=3.6/2.63/2.29")  # fmt: skip

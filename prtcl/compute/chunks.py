@@ -8,7 +8,7 @@ from prtcl.compute.device import Device
 from prtcl.errors import DeviceError
 
 BUDGET = 256 << 20
-"""Bytes of working memory that one chunk may take by default; larger chunks were not faster on two cores."""
+"""Bytes of working memory that one chunk may take by default: a round number, not a tuned one."""
 
 
 def chunk_size(device: Device, total_bytes: int, largest_bytes: int, budget: int | None = None) -> int:

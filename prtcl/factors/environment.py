@@ -24,7 +24,8 @@ from prtcl.factors import hardlight, hemisphere
 GROUP = 64
 SUB = 0
 """Levels of subsamples a cell is averaged over. The cube is filtered to the cell's own size, so one look-up is
-its average; four of a cube twice as fine gave the same error (bench/mitsuba.py) for four times the work."""
+its average. Four look-ups into a cube twice as fine gave the same error in one trial against Mitsuba, for four times
+the work; no committed script repeats that trial yet."""
 HARD_LEVELS = 6
 """The grid whose cells the threshold is set for: a cell of it may hold at most `HARD_SHARE` of the mean
 irradiance, so that its place inside the cell cannot matter more than that."""

@@ -14,7 +14,8 @@ from prtcl.factors import hemisphere
 
 OFFSET = 2e-5
 """Length by which ray origins leave the surface, in bounding-sphere radii. embree's hit points are good to a few
-float32 units of the unit sphere (about 5e-7); 40 times that is invisible and never hits the same triangle."""
+float32 units of the unit sphere (about 5e-7); 40 times that does not hit the same triangle again. It is invisible on an
+object by itself, but not where a plane thousands of times its size sets the radius."""
 
 RAYS_PER_TASK = 1 << 16
 

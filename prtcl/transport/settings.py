@@ -24,7 +24,7 @@ class Settings:
         product (multiply fine, keep coarse)
     views : stored view angles (frames turned to the viewer) or nodes a side (fixed frames)
     method : the product in the "pixel" domain or through the "tree"; "auto" takes the pixel domain, which was
-        faster on dense light on every device measured (bench/reduce.py) and is the better conditioned one
+        faster on dense light on PoCL, the one device measured (bench/reduce.py), and is the better conditioned one
     hard : "auto" takes hard light out of the map, "off" leaves it in
     pixel_error : relative RMSE over the image that adaptive sub-pixel points aim at, by an estimate on the safe
         side (stratified points err less than it assumes)
