@@ -4,8 +4,8 @@
 
 Meshes and environments are those of bench/scenes.py. The reference is equation (1) in float64 NumPy
 (`prtcl.reference`), at a sample of covered pixels stratified by their brightness. In every pixel the light below a
-threshold is summed at 128 points, each with 32 x 32 directions of a cell place of its own, and the light above it at
-256 points with a sample for every half texel; rays by embree as in the render. What is reported is relative RMSE
+threshold is summed at 256 points, each with 32 x 32 directions of a cell place of its own, and the light above it at
+1,024 points with a sample for every half texel; rays by embree as in the render. What is reported is relative RMSE
 over the sampled pixels and all channels, and the reference's own noise: it is made in two halves, each a stratified
 set of points, and a quarter of their squared difference is the variance of their mean.
 """
@@ -31,7 +31,7 @@ from prtcl.scene.scene import Scene
 
 THRESHOLD = 30.0
 """Peaks start at this many times the mean radiance: well above the render's own threshold of ten."""
-LEVELS, SOFT_POINTS, HARD_POINTS = 5, 128, 256
+LEVELS, SOFT_POINTS, HARD_POINTS = 5, 256, 1024
 
 
 def reference_pixel(

@@ -6,7 +6,8 @@
 // form: nothing is added that must cancel again.
 //
 // light_times_visibility does the same straight from the environment, so that light which does not pass is never
-// looked up and L_n is never stored.
+// looked up and L_n is never stored. It also takes a weight for each ray: what f_v holds is the cosine averaged over a
+// cell, what a ray stands for is the cosine where it went (prtcl/factors/hemisphere.py, `ray_weights`).
 //
 //   light    n_points * CHANNELS rows of 4^LEVELS REALs
 //   bits     n_points rows of visibility words (visibility.cl), of a grid of BITS <= LEVELS levels
@@ -64,10 +65,12 @@ void masked_average(const global REAL *restrict light, const global uint *restri
 }
 
 // The same from the soft cube (cube.clh): `directions` are 4^(LEVELS+SUB) REAL4 in Morton order, 4^SUB a cell; `frames`
-// 9 REALs a point, on the cube's axes. Launch: 4^KEEP work-items in x, points in y.
+// 9 REALs a point, on the cube's axes; `weights` rows of 4^BITS REALs and `grid` the row of each point. Launch: 4^KEEP
+// work-items in x, points in y.
 kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void light_times_visibility(const global REAL4 *restrict cube, const int face, const global REAL4 *restrict directions,
                             const global REAL *restrict frames, const global uint *restrict bits,
+                            const global REAL *restrict weights, const global int *restrict grid,
                             global REAL *restrict dst)
 {
     const int cell = (int)get_global_id(0);
@@ -75,6 +78,7 @@ void light_times_visibility(const global REAL4 *restrict cube, const int face, c
     if (cell >= N_SAMPLES(KEEP))
         return;
     const global uint *words = bits + point * WORDS;
+    const global REAL *weight = weights + (size_t)grid[point] * N_SAMPLES(BITS);
     ACC4 sum = (ACC4)((ACC)0);
     for (int i = 0; i < RUN; ++i) {
         const int sample = cell * RUN + i;
@@ -82,7 +86,7 @@ void light_times_visibility(const global REAL4 *restrict cube, const int face, c
         if ((words[bit >> 5] >> (bit & 31)) & 1u)
             for (int k = 0; k < N_SAMPLES(SUB); ++k) {
                 const REAL4 d = to_world(frames + 9 * point, directions[sample * N_SAMPLES(SUB) + k]);
-                const REAL4 radiance = cube_lookup(cube, face, d);
+                const REAL4 radiance = weight[bit] * cube_lookup(cube, face, d);
                 sum += (ACC4)((ACC)radiance.x, (ACC)radiance.y, (ACC)radiance.z, (ACC)0);
             }
     }

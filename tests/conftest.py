@@ -29,7 +29,7 @@ settings.load_profile("prtcl")
 def opencl_devices() -> tuple[list[choice.Seen], str]:
     """The devices to test on, and why there is none."""
     try:
-        seen = choice.devices()
+        seen = [device for device in choice.devices() if not device.flaw] or [choice.choose()[0]]
         if os.environ.get(choice.VARIABLE):
             seen = [choice.choose(None, seen)[0]]
     except (ImportError, PrtclError) as error:

@@ -12,7 +12,7 @@ from tolerances import assert_close
 
 from prtcl import quadtree, reference
 from prtcl.compute.device import Device
-from prtcl.factors import environment
+from prtcl.factors import environment, hemisphere
 from prtcl.factors.environment import Environment, Light
 from prtcl.transport.collapse import reduced_coefficients
 from prtcl.transport.settings import Settings
@@ -64,6 +64,22 @@ def test_against_the_reference(
         method == "pixel"
     ):  # whatever is hidden; the tree holds it where the brightest is seen (test_triple.py)
         assert (tolerances.relative_errors(got, expected) <= 2e-6).all()
+
+
+def test_rays_weigh_by_their_own_cosine(device: Device) -> None:
+    """Two points that differ in their grid alone, a third that sees everything: visibility times the weights."""
+    levels, rays, lit = 4, 3, light(4)
+    frames, seen = np.repeat(cases.frames(1), 3, axis=0), np.repeat(cases.visibility(1, rays), 3, axis=0)
+    seen[2] = True
+    grid = np.array([1, 6, 6], dtype=np.int32)
+    settings = Settings(levels=levels, rays=rays, keep=levels)
+    got = reduced_coefficients(device, lit, cases.pack_bits(seen), frames, settings, grid=grid).get()
+    soft = environment.gather(device, lit, frames).get().astype(np.float64)
+    weights = np.stack([hemisphere.ray_weights(rays, 1), hemisphere.ray_weights(rays, 6), np.ones(4**rays)])
+    product = soft * np.repeat(seen * weights, 4 ** (levels - rays), axis=1)[:, None]
+    bound = 2 * tolerances.masked_average(product, levels, levels, "float32")
+    assert_close(tolerances.norms(got - reference.haar(product)), np.zeros((3, 3, 1)), bound, zeros=1)
+    assert np.abs(got[0] - got[1]).max() > 0.01 * np.abs(got[0]).max()
 
 
 @pytest.mark.parametrize("levels", [2, 5])

@@ -18,7 +18,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import prtcl.compute.device as device_module
-from prtcl.compute import choice, chunks, source
+from prtcl.compute import choice, chunks, source, vendors
 from prtcl.compute.choice import Seen
 from prtcl.compute.defines import Defines
 from prtcl.compute.device import Device
@@ -110,6 +110,7 @@ def test_bad_variable_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
 
 class FakeDevice:
     name, driver_version, extensions = " Fake One ", " 3.1 ", "cl_khr_fp64"
+    version = "OpenCL 3.0 Fake "
     global_mem_size, max_mem_alloc_size, max_compute_units, double_fp_config = 1 << 30, 1 << 28, 2, 63
 
     def __init__(self, kind: int) -> None:
@@ -141,6 +142,51 @@ def test_platforms_without_devices_are_skipped(monkeypatch: pytest.MonkeyPatch) 
     assert seen[0].float64
     monkeypatch.setattr(FakeDevice, "extensions", "")
     assert not choice.devices()[0].float64
+
+
+POCL = "OpenCL 3.0 PoCL HSTR: pthread-x86_64-unknown-linux-gnu-"
+
+
+@pytest.mark.parametrize(
+    ("version", "usable"),
+    [(POCL + "generic", False), (POCL + "znver3", True), ("OpenCL 3.0 generic", True),
+     (POCL.replace("x86_64", "aarch64") + "generic", True)],
+)  # fmt: skip
+def test_a_pocl_older_than_the_cpu(
+    no_variable: None, monkeypatch: pytest.MonkeyPatch, version: str, usable: bool
+) -> None:
+    """It lists a device, but every build would fail: "unknown target CPU 'generic'"."""
+    cl = pytest.importorskip("pyopencl")
+    old = FakeDevice(cl.device_type.CPU)
+    old.version = version
+    monkeypatch.setattr(cl, "get_platforms", lambda: [fake_platform("Portable Computing Language", [old])])
+    seen = choice.devices()
+    assert bool(seen[0].flaw) != usable
+    if usable:
+        assert choice.choose(None, seen)[0] is seen[0]
+        return
+    for spec in (None, "portable"):
+        with pytest.raises(DeviceError, match="older than this CPU") as caught:
+            choice.choose(spec, seen)
+        assert "pip install 'prtcl[intel]'" in str(caught.value)
+    assert choice.choose(None, [*seen, OTHER_CPU])[0] is OTHER_CPU
+
+
+def test_intels_wheel_is_shown_to_the_loader(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    library, system = tmp_path / vendors.LIBRARY, tmp_path / "vendors"
+    system.mkdir()
+    (system / "gpu.icd").write_text("libgpu.so\n")
+    monkeypatch.setattr(vendors, "intel_library", lambda: library)
+    monkeypatch.setattr(vendors, "SYSTEM", system)
+    monkeypatch.setenv("OCL_ICD_VENDORS", "mine")
+    vendors.reveal()
+    assert vendors.os.environ["OCL_ICD_VENDORS"] == "mine", "a user's own choice stands"
+    monkeypatch.setenv("OCL_ICD_VENDORS", "")
+    vendors.reveal()
+    shown = Path(vendors.os.environ["OCL_ICD_VENDORS"])
+    assert {p.name: p.read_text().strip() for p in shown.iterdir()} == {
+        "gpu.icd": "libgpu.so", "prtcl-intel.icd": str(library)
+    }  # fmt: skip
 
 
 def test_only_empty_platforms(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -22,7 +22,7 @@ def run(options: argparse.Namespace) -> int:
             f"{mark} {device.spec:5} {device.kind:4} {device.platform} / {device.name}\n"
             f"        {device.compute_units} compute units, {device.memory / 2**30:.1f} GiB, largest buffer "
             f"{device.max_allocation / 2**30:.1f} GiB, float64 {'yes' if device.float64 else 'no'}, "
-            f"driver {device.driver}"
+            f"driver {device.driver}" + (f"\n        unusable: {device.flaw}" if device.flaw else "")
         )
     print(f"used: {chosen.spec} {chosen.name}: {reason}")
     return 0

@@ -16,6 +16,9 @@ from prtcl.factors.sequence import stratified
 
 CENTRE = (0.5, 0.5)
 
+LOW = 0.5
+"""Mean cosine of a cell below which its ray is weighed by its own (bench/rays.py: 0.1 % left; 0.2 % for 0.3)."""
+
 ALONE = -1
 """The visibility grid of a point that shares no pixel with others: samples at the cells' centres."""
 
@@ -52,6 +55,31 @@ def directions(levels: int, offset: tuple[float, float] = CENTRE) -> npt.NDArray
     out = np.zeros((rows.size, 4), dtype=np.float32)
     out[:, :3] = from_square((columns + offset[0]) / side, (rows + offset[1]) / side)
     out[:, 3] = _mean_cosines(rows, columns, side)
+    out.setflags(write=False)
+    return out
+
+
+@lru_cache(maxsize=4096)
+def ray_weights(levels: int, grid: int) -> npt.NDArray[np.float32]:
+    """Weight of each ray of a visibility grid: its cosine over the mean cosine of its cell.
+
+    f_v holds the cosine averaged over a cell, but where a surface hides part of a cell the cosine of what is left
+    is another: at the horizon occluders hide the low directions first, and pictures come out dark by 0.5 % at
+    4^4 rays. With this weight the rays of a pixel's points together sum the cosine where they went (0.1 % instead,
+    bench/rays.py). A grid's weights keep its sum of cosines, so an open hemisphere under constant light is exact.
+    Above `LOW` they are 1: there the cosine hardly varies inside a cell, and weights would shift a lobe that lies in
+    a few cells by some percent between one sub-pixel point and the next.
+
+    Returns
+    -------
+    weights : (4**levels,) float32, Morton order, read-only; ones for `ALONE`, whose one ray stands for all its cell
+    """
+    mean = directions(levels)[:, 3].astype(np.float64)
+    weights, low = np.ones_like(mean), mean < LOW
+    if grid != ALONE and low.any():
+        cosine = directions(levels, cell_offset(grid))[low, 2].astype(np.float64)
+        weights[low] = cosine / mean[low] * (mean[low].sum() / cosine.sum())
+    out = weights.astype(np.float32)
     out.setflags(write=False)
     return out
 

@@ -138,15 +138,15 @@ class Scene:
         self.device = device or Device()
         self.two_sided = two_sided
         self._by_hand = settings
-        self.settings = self._settings()
+        self.settings = self.choose_settings(vertex=self.bake is not None)
         with self.device.profile.host("build_bvh"):
             self.tracer = Tracer(self.mesh.vertices, self.mesh.faces)
 
-    def _settings(self) -> list[tuple[Settings, str]]:
-        """What every material needs, with what was fixed by hand on top, and why."""
+    def choose_settings(self, vertex: bool) -> list[tuple[Settings, str]]:
+        """What every material needs at vertices or pixels, with what was fixed by hand on top, and why."""
         out = []
         for material in self.materials:
-            chosen, reason = choose(material)
+            chosen, reason = choose(material, alone=vertex)
             if self.bake is not None and self._by_hand.get("levels") is None:
                 chosen = replace(chosen, levels=max(chosen.levels, self.bake.rays))
             out.append((chosen.with_defaults(**self._by_hand), reason))
@@ -177,6 +177,7 @@ class Scene:
         self.device.profile.reset()
         check_eye(self.tracer, self.mesh, self.camera)
         vertex = points == "vertex" or self.bake is not None
+        self.settings = self.choose_settings(vertex)
         pipeline = Pipelines(
             self.device,
             self.environment,

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from prtcl import quadtree
 from prtcl.compute.device import Device
-from prtcl.factors import environment
+from prtcl.factors import environment, hemisphere
 from prtcl.factors.environment import Light
 from prtcl.transport.settings import Settings
 from prtcl.wavelet import haar, triple
@@ -49,6 +49,7 @@ def reduced_coefficients(
     frames: npt.NDArray[np.float32],
     settings: Settings,
     channels: int = 3,
+    grid: npt.NDArray[np.int32] | None = None,
 ) -> Any:
     """L ⊕ V of every point: device array (n, channels, 4**keep), the levels below `settings.keep`.
 
@@ -58,6 +59,8 @@ def reduced_coefficients(
     ----------
     bits : (n, words) uint32 visibility of 4**settings.rays directions
     frames : (n, 3, 3) float32
+    grid : (n,) the visibility grid of each point, whose rays' cosines the pixel-domain product weighs
+        (`hemisphere.ray_weights`; the tree takes the bits as they are); None is `hemisphere.ALONE` for all
     """
     levels, keep = settings.levels, settings.keep
     if settings.tree:
@@ -72,12 +75,33 @@ def reduced_coefficients(
         SUB=environment.SUB, GROUP=GROUP,
     )["light_times_visibility"]  # fmt: skip
     cube, _ = light.buffers(device)
+    weights, row = _ray_weights(
+        bits, settings.rays, np.full(count, hemisphere.ALONE) if grid is None else grid
+    )
     device.launch(
         kernel, quadtree.n_samples(keep), GROUP, cube, cube.shape[1] - 2,
         environment.look_up_directions(device, levels), environment.frames_on_map(device, light, frames),
-        device.array(bits, np.uint32, name="bits"), product, y=count,
+        device.array(bits, np.uint32, name="bits"), device.array(weights), device.array(row, np.int32), product,
+        y=count,
     )  # fmt: skip
     return haar.forward(device, product, scale=2.0 ** (levels - keep))
+
+
+def _ray_weights(
+    bits: npt.NDArray[np.uint32], rays: int, grid: npt.NDArray[np.int32]
+) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.intp]]:
+    """Rows of `hemisphere.ray_weights` and each point's row.
+
+    A point that sees its whole hemisphere needs none: weights would only add noise. (It is all of a point or nothing:
+    weighing only the cells beside a hidden one errs more than no weights at all, for which those are depends on
+    where the rays went.)
+    """
+    seen = np.uint32(0xFFFFFFFF >> max(0, 32 - 4**rays))
+    some_hidden = grid != hemisphere.ALONE
+    if some_hidden.any():
+        some_hidden &= ~(bits == seen).all(axis=1)
+    grids, row = np.unique(np.where(some_hidden, grid, hemisphere.ALONE), return_inverse=True)
+    return np.stack([hemisphere.ray_weights(rays, int(g)) for g in grids]), row
 
 
 def product_of(device: Device, light: Any, bits: Any, rays: int, keep: int) -> Any:

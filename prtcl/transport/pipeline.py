@@ -128,7 +128,7 @@ class Pipeline:
             some = points[part]
             seen = self.visibility(tracer, some, progress) if bits is None else bits[part]
             reduced = collapse.reduced_coefficients(
-                self.device, self.light, seen, some.frames, self.settings, self.channels
+                self.device, self.light, seen, some.frames, self.settings, self.channels, some.grid
             )
             index, weight = self.table.locate(some.views)
             index += some.material[:, None] * np.int32(len(self.table.views))

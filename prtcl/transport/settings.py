@@ -69,18 +69,24 @@ class Settings:
         return replace(self, **fixed)  # type: ignore[arg-type]
 
 
-def choose(material: Material) -> tuple[Settings, str]:
+def choose(material: Material, alone: bool = False) -> tuple[Settings, str]:
     """Settings for a material, and the reason in words.
 
-    With these, bench/accuracy.py found the errors that the README lists. With 4**4 rays a point in place of 4**5
-    pictures come out up to 0.9 % too dark where an object shadows itself: visibility and cosine vary together
-    inside the cells at the horizon.
+    With these, bench/accuracy.py and bench/path_tracer.py found the errors that the README lists.
+
+    Parameters
+    ----------
+    alone : True for points that share no pixel with others (vertices): their own rays are all they have. The
+        sub-pixel points of one pixel send theirs to different places in the cells, so 4**4 rays of each are enough,
+        given the weight of `hemisphere.ray_weights`.
     """
     alpha = material.roughness
     if alpha >= 0.25:
-        settings = Settings(levels=5, rays=5, keep=5, views=128, pixel_error=0.01)
+        settings = Settings(levels=5, rays=4, keep=5, views=128, pixel_error=0.01)
     elif alpha >= 0.08:
-        settings = Settings(levels=6, rays=5, keep=6, views=256, pixel_error=0.01)
+        settings = Settings(levels=6, rays=4, keep=6, views=256, pixel_error=0.01)
     else:
-        settings = Settings(levels=7, rays=6, keep=7, views=512, pixel_error=0.02)
+        settings = Settings(levels=7, rays=5, keep=7, views=512, pixel_error=0.02)
+    if alone:
+        settings = replace(settings, rays=settings.rays + 1)
     return settings, f"{material.spec}: its lobe is as wide as that of GGX alpha {alpha:.3g}"

@@ -1,6 +1,6 @@
 """Independent check: `prtcl render` at its defaults against Mitsuba 3, a path tracer that shares no code with it.
 
-    DRJIT_LIBLLVM_PATH=/path/to/libLLVM-19.so python bench/mitsuba.py [-o bench/results/mitsuba.json]
+    DRJIT_LIBLLVM_PATH=/path/to/libLLVM-19.so python bench/path_tracer.py [-o bench/results/mitsuba.json]
 
 Direct light, full images. Mitsuba's noise is what two halves of its samples differ by; it is part of the relative
 RMSE shown. Both programs' seconds are wall time on the same cores, Mitsuba's at the samples a pixel shown: this is a
@@ -69,7 +69,7 @@ def main() -> None:
         result = {
             "device": device.name,
             "size": options.size,
-            "command": "python bench/mitsuba.py",
+            "command": "python bench/path_tracer.py",
             "rows": rows,
         }
         options.output.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
