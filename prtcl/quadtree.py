@@ -89,6 +89,27 @@ def grid_to_morton(levels: int) -> npt.NDArray[np.int64]:
     return index
 
 
+def turned_squares(levels: int) -> npt.NDArray[np.int32]:
+    """Where every square of levels 0 … `levels` goes under the eight turns of the square.
+
+    Turn t swaps rows and columns if t & 4, then mirrors the columns if t & 1 and the rows if t & 2. Turns of the grid
+    are turns of the hemisphere about its normal and mirrors through it: the concentric map keeps the square's symmetry.
+
+    Returns
+    -------
+    index : (8, n_squares(levels + 1)) int32, positions as `square` gives them
+    """
+    out = np.empty((8, n_squares(levels + 1)), dtype=np.int32)
+    for level in range(levels + 1):
+        rows, columns = morton_to_grid(level)
+        morton, last = grid_to_morton(level), (1 << level) - 1
+        for turn in range(8):
+            r, c = (columns, rows) if turn & 4 else (rows, columns)
+            r, c = (last - r if turn & 2 else r), (last - c if turn & 1 else c)
+            out[turn, n_squares(level) : n_squares(level + 1)] = n_squares(level) + morton[r, c]
+    return out
+
+
 def visibility_words(levels: int) -> int:
     """32-bit words that hold one point's visibility bits (a last word is padded with zeros)."""
     return max(1, n_samples(levels) // 32)

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import re
+import signal
 import subprocess
 import sys
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -18,7 +21,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from prtcl._version import __version__
-from prtcl.apps.cli import main
+from prtcl.apps.cli import deferred_interrupts, main
 from prtcl.compute import choice
 from prtcl.errors import DeviceError, InputError
 from prtcl.files.image import read_image, write_exr
@@ -173,6 +176,35 @@ def test_a_bake_is_rendered_under_any_light(run: Run, files: Path, tiny: list[st
     ran = run(tiny[0], bake, *tiny[2:], "--json", "-o", files / "out" / "a.exr")
     assert ran.status == 0 and json.loads(ran.out)["points"] == "vertex"
     assert read_image(files / "out" / "a.exr")[4, 6, :3].min() > 0
+
+
+@pytest.mark.usefixtures("nothing_is_traced")
+@pytest.mark.parametrize(
+    "options,words",
+    [
+        ("--rays 4", ["--rays 4: ", "was traced with 2; bake again with --rays 4"]),
+        ("--smooth", ["--smooth: ", "bake again with --smooth"]),
+        ("--points pixel", ["--points pixel: ", "holds the rays of vertices", "render the mesh"]),
+    ],
+)
+def test_what_a_bake_has_fixed_cannot_be_asked_for(
+    run: Run, files: Path, tiny: list[str], small_bake: Path, options: str, words: list[str]
+) -> None:
+    ran = run("render", small_bake, *tiny[2:], *options.split(), "-o", files / "out" / "a.exr")
+    assert_refused(ran, str(small_bake), *words)
+    assert not os.listdir(files / "out")
+
+
+def test_what_a_bake_has_may_be_asked_for(run: Run, files: Path, tiny: list[str], small_bake: Path) -> None:
+    output = files / "out" / "a.exr"
+    ran = run("render", small_bake, *tiny[2:], "--rays", "2", "--points", "vertex", "--quiet", "-o", output)
+    assert ran == (0, "", "") and read_image(output).shape == (8, 12, 4)
+
+
+def test_a_bake_takes_no_device(run: Run, files: Path) -> None:
+    ran = run("bake", files / "ball.ply", "-o", files / "out" / "a.npz", "--device", "0")
+    assert_refused(ran, "unrecognized arguments: --device")
+    assert "--device" not in run("bake", "--help").out and "--device" in run("render", "--help").out
 
 
 def test_notes_go_to_standard_error(run: Run, files: Path, tiny: list[str]) -> None:
@@ -522,6 +554,83 @@ def test_an_interrupted_bake_leaves_the_old_one(
         "prtcl bake: interrupted; no output was left half written\n",
     )
     assert os.listdir(files / "out") == ["a.npz"] and output.read_bytes() == b"the old bake"
+
+
+def test_an_interrupted_demo_leaves_the_old_report(
+    run: Run, tmp_path: Path, opencl_device: choice.Seen, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "report.json").write_text("the old report")
+    write = Path.write_text
+
+    def interrupt(path: Path, text: str, **how: Any) -> None:
+        write(path, text[:10], **how)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("prtcl.apps.demo.VIEWS", ())
+    monkeypatch.setattr(Path, "write_text", interrupt)
+    ran = run("demo", "-o", tmp_path, "--quiet", "--device", opencl_device.spec)
+    assert ran.status == 130 and os.listdir(tmp_path) == ["report.json"]
+    assert (tmp_path / "report.json").read_text() == "the old report"
+
+
+def test_an_interrupt_waits_for_imports_and_is_not_lost() -> None:
+    """Some libraries catch every exception of their own imports, Ctrl-C with them."""
+    reached = False
+    with pytest.raises(KeyboardInterrupt), deferred_interrupts():
+        with contextlib.suppress(BaseException):
+            signal.raise_signal(signal.SIGINT)
+        reached = True
+    assert reached
+    reached = False
+    with pytest.raises(KeyboardInterrupt), deferred_interrupts():
+        signal.raise_signal(signal.SIGINT)
+        signal.raise_signal(signal.SIGINT)  # someone who insists
+        reached = True
+    assert not reached
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_interrupts_leave_other_handlers_alone() -> None:
+    """A job in the background ignores Ctrl-C, and goes on doing so."""
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        with deferred_interrupts():
+            signal.raise_signal(signal.SIGINT)
+        assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.05, 0.1, 0.2, 0.3, 0.5, 0.8])
+def test_an_interrupt_at_any_time(files: Path, delay: float) -> None:
+    """While the command's libraries are imported as well, which takes about half a second."""
+    trimesh.creation.icosphere(subdivisions=5).export(files / "fine.ply")
+    program = "import sys; from prtcl.apps.cli import main; print(flush=True); sys.exit(main())"
+    command = [
+        sys.executable,
+        "-c",
+        program,
+        "bake",
+        f"{files}/fine.ply",
+        "-o",
+        f"{files}/out/a.npz",
+        "--rays",
+        "8",
+    ]
+    with subprocess.Popen(
+        command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as job:
+        assert job.stdout is not None and job.stderr is not None
+        job.stdout.readline()
+        time.sleep(delay)
+        job.send_signal(signal.SIGINT)
+        sent = time.monotonic()
+        message = job.stderr.read()
+    assert job.returncode == 130 and message.splitlines()[-1].endswith(
+        "interrupted; no output was left half written"
+    )
+    assert "Traceback" not in message and not os.listdir(files / "out")
+    assert time.monotonic() - sent < 20  # of the job's 100 seconds
 
 
 def test_debugging_shows_the_traceback(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+
 import cases
 import numpy as np
 import pytest
@@ -12,7 +14,7 @@ from numpy.typing import NDArray
 from prtcl import quadtree, reference
 from prtcl.factors import hemisphere
 from prtcl.factors import visibility as module
-from prtcl.factors.visibility import OFFSET, Tracer
+from prtcl.factors.visibility import OFFSET, REACH, Tracer
 
 QUAD = np.array([[-1, 0, -1], [1, 0, -1], [1, 0, 1], [-1, 0, 1]], dtype=np.float64)
 QUAD_FACES = np.array([[0, 2, 1], [0, 3, 2]], dtype=np.int32)
@@ -38,10 +40,10 @@ def frame_over(normal: NDArray[np.float64]) -> NDArray[np.float32]:
 def test_plane_against_the_analytic_answer(levels: int, normal: tuple[float, float, float]) -> None:
     tracer = Tracer(QUAD, QUAD_FACES)
     frames = frame_over(np.array(normal, dtype=np.float64))
-    position = np.array([[0.2, 0.4, -0.1]])
-    bits = tracer.visibility(tracer.origins(position, frames[:, 2]), frames, levels)
+    origins = tracer.origins(np.array([[0.2, 0.4, -0.1]]), frames[:, 2])
+    bits = tracer.visibility(origins, frames, levels)
     world = reference.directions(levels) @ frames[0].astype(np.float64)
-    start = position[0] + OFFSET * tracer.radius * frames[0, 2]
+    start = origins[0] * tracer.radius + tracer.centre
     with np.errstate(divide="ignore"):
         distance = np.where(world[:, 1] < 0, start[1] / -world[:, 1], np.inf)
     hit = start + np.where(np.isfinite(distance), distance, 0.0)[:, None] * world
@@ -64,8 +66,9 @@ def test_sphere_against_the_analytic_answer() -> None:
     positions = rng.normal(size=(20, 3))
     positions *= (rng.uniform(1.1, 4, 20) / np.linalg.norm(positions, axis=1))[:, None]
     frames = cases.frames(20)
-    seen = unpack(tracer.visibility(tracer.origins(positions, frames[:, 2]), frames, levels), levels)
-    starts = positions + OFFSET * tracer.radius * frames[:, 2]
+    origins = tracer.origins(positions, frames[:, 2])
+    seen = unpack(tracer.visibility(origins, frames, levels), levels)
+    starts = origins * tracer.radius + tracer.centre
     # The mesh lies between the unit sphere and the one its faces touch from within.
     corners = vertices[faces]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -97,6 +100,79 @@ def test_a_convex_body_does_not_shadow_itself(scale: float) -> None:
     frames = hemisphere.frames_from(np.concatenate([normals, normals]))
     bits = tracer.visibility(tracer.origins(positions, frames[:, 2]), frames, 3)
     assert unpack(bits, 3).mean() == 1.0
+
+
+def tilt(x: float, z: float) -> NDArray[np.float64]:
+    """Rotation about x, then about z, by angles that leave no axis aligned."""
+    about_x = np.array([[1, 0, 0], [0, np.cos(x), -np.sin(x)], [0, np.sin(x), np.cos(x)]])
+    about_z = np.array([[np.cos(z), -np.sin(z), 0], [np.sin(z), np.cos(z), 0], [0, 0, 1]])
+    return np.asarray(about_z @ about_x)
+
+
+@pytest.mark.parametrize("turn", [(0.0, 0.0), (0.3, 0.4)])
+@pytest.mark.parametrize("size", [1.0, 1e4, 1e6])
+def test_a_plane_by_itself_sees_the_whole_sky(size: float, turn: tuple[float, float]) -> None:
+    """At its very middle as well, where float32 resolves the positions far more finely than the plane."""
+    rotation = tilt(*turn)
+    tracer = Tracer(size * QUAD @ rotation.T, QUAD_FACES)
+    rng = np.random.default_rng(8)
+    flat = np.array([1.0, 0.0, 1.0]) * rng.uniform(-1, 1, (200, 3)) * size ** rng.uniform(-1, 0.9, (200, 1))
+    normals = np.where(np.arange(200)[:, None] % 2, 1.0, -1.0) * rotation[:, 1]
+    frames = hemisphere.frames_from(normals)
+    for reach in (None, np.full(200, tracer.face_reach[0])):
+        origins = tracer.origins(flat @ rotation.T, normals, reach)
+        assert unpack(tracer.visibility(origins, frames, 5), 5).all()
+
+
+@pytest.mark.parametrize("turn", [(0.0, 0.0), (0.3, 0.4)])
+def test_a_huge_ground_leaves_the_shadows_of_an_object_alone(turn: tuple[float, float]) -> None:
+    """Against the object alone and a ground that hides all below it, 10^4 times as large."""
+    ball, ball_faces = sphere_mesh(4)
+    rotation, levels = tilt(*turn), 5
+    ball = (ball + [0.0, 1.0, 0.0]) @ rotation.T
+    tracer = Tracer(
+        np.concatenate([ball, 1e4 * QUAD @ rotation.T]),
+        np.concatenate([ball_faces, QUAD_FACES + len(ball)]),
+    )
+    alone = Tracer(ball, ball_faces)
+    rng = np.random.default_rng(9)
+    ground = np.stack([rng.uniform(-2, 2, 200), np.zeros(200), rng.uniform(-2, 2, 200)], axis=1) @ rotation.T
+    chosen = rng.integers(0, len(ball_faces), 200)
+    corners = ball[ball_faces[chosen]]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals = np.concatenate(
+        [np.tile(rotation[:, 1], (200, 1)), normals / np.linalg.norm(normals, axis=1, keepdims=True)]
+    )
+    positions = np.concatenate([ground, corners.mean(axis=1)])
+    faces = np.concatenate([np.full(200, len(ball_faces)), chosen])
+    frames = hemisphere.frames_from(normals)
+    bits = tracer.visibility(tracer.origins(positions, normals, tracer.face_reach[faces]), frames, levels)
+    seen = unpack(bits, levels)
+    up = np.einsum("sk,pkj,j->ps", reference.directions(levels), frames.astype(np.float64), rotation[:, 1])
+    expected = unpack(alone.visibility(alone.origins(positions, normals), frames, levels), levels) & (up > 0)
+    assert 0.3 < expected.mean() < 0.9
+    sure = np.abs(up) > 1e-3  # below that, rays from the ball pass the ground's end
+    # float32 itself knows a tilted ground of that size to a few thousandths of the ball only.
+    assert (seen != expected)[sure].mean() < (3e-3 if any(turn) else 1e-5)
+
+
+def test_origins_leave_by_what_float32_moves_the_surface() -> None:
+    tracer = Tracer(np.concatenate([QUAD, [[9.0, 9.0, 9.0]]]), QUAD_FACES)
+    assert (tracer.face_reach == REACH[0]).all()  # an axis-aligned plane through the centre is exact
+    assert (tracer.vertex_reach == [REACH[0]] * 4 + [0.0]).all()
+    vertices, faces = sphere_mesh()
+    tracer = Tracer(vertices, faces)
+    assert tracer.face_reach.min() > 1.0 and tracer.face_reach.max() < 2.0
+    assert (tracer.face_reach >= tracer.vertex_reach[faces].max(axis=1)).all()
+    away = tracer.origins(vertices, vertices, tracer.vertex_reach) - vertices
+    lifted = np.sum(away * vertices, axis=1)
+    assert np.abs(lifted - OFFSET * tracer.vertex_reach).max() < 4 * 2.0**-24
+    # A sliver of hardly any area is bounded, so that its neighbours' rays still start near them.
+    sliver = Tracer(
+        np.array([[0, 0, 0], [1, 0.3, 0.2], [0.5, 0.15 + 1e-7, 0.1], [0, 1, 0]]),
+        np.array([[0, 1, 2], [0, 2, 3]], np.int32),
+    )
+    assert (sliver.face_reach == REACH[1]).all()
 
 
 def scene() -> tuple[NDArray[np.float64], NDArray[np.int32], NDArray[np.float64], NDArray[np.float64]]:
@@ -256,6 +332,21 @@ def test_vertices_that_no_face_uses_do_not_count() -> None:
     tracer = Tracer(np.concatenate([QUAD, [[1e9, 0, 0]]]), QUAD_FACES)
     assert tracer.radius == np.sqrt(2)
     assert (tracer.centre == 0).all()
+
+
+def test_an_interrupt_drops_the_tasks_that_wait() -> None:
+    """Ctrl-C comes up in the main thread; the tasks under way end, the others never begin."""
+    ran: list[int] = []
+
+    def run(part: slice) -> None:
+        ran.append(part.start)
+        time.sleep(0.05)
+        if part.start == 0:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        module._in_parallel(run, 200, 1)
+    assert len(ran) <= 4 * module.threads()
 
 
 def test_threads_is_a_positive_number() -> None:

@@ -9,8 +9,12 @@ from __future__ import annotations
 import argparse
 import os
 import re
+import signal
 import sys
-from collections.abc import Sequence
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from importlib import import_module
 from typing import Any, NoReturn
 
 from prtcl._version import __version__
@@ -19,19 +23,22 @@ from prtcl.errors import InputError, PrtclError
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; returns the exit status."""
-    options = parser().parse_args(arguments)
+    command = "prtcl"
     try:
+        with deferred_interrupts():
+            options = parser().parse_args(arguments)
+        command = f"prtcl {options.command}"
         status: int = options.run(options)
         return status
     except PrtclError as error:
-        print(f"prtcl {options.command}: {error}", file=sys.stderr)
+        print(f"{command}: {error}", file=sys.stderr)
         return error.exit_status
     except MemoryError as error:
-        print(f"prtcl {options.command}: out of memory {error}; use fewer --levels or a smaller --size",
+        print(f"{command}: out of memory {error}; use fewer --levels or a smaller --size",
               file=sys.stderr)  # fmt: skip
         return 1
     except KeyboardInterrupt:
-        print(f"prtcl {options.command}: interrupted; no output was left half written", file=sys.stderr)
+        print(f"{command}: interrupted; no output was left half written", file=sys.stderr)
         return 130
     except BrokenPipeError:
         # The reader of our output (head, a pager) went away; keep the interpreter from complaining at exit.
@@ -42,17 +49,45 @@ def main(arguments: Sequence[str] | None = None) -> int:
             raise
         if type(error).__module__.startswith("pyopencl"):
             print(
-                f"prtcl {options.command}: the OpenCL device failed: {str(error).splitlines()[0]}\n"
+                f"{command}: the OpenCL device failed: {str(error).splitlines()[0]}\n"
                 "try another --device, fewer --levels or a smaller --size; PRTCL_DEBUG=1 shows more",
                 file=sys.stderr,
             )
             return 1
         print(
-            f"prtcl {options.command}: {type(error).__name__}: {str(error).splitlines()[0] if str(error) else ''}\n"
+            f"{command}: {type(error).__name__}: {str(error).splitlines()[0] if str(error) else ''}\n"
             "this is a bug in prtcl or its OpenCL driver; PRTCL_DEBUG=1 shows the traceback",
             file=sys.stderr,
         )
         return 1
+
+
+@contextmanager
+def deferred_interrupts() -> Iterator[None]:
+    """Hold Ctrl-C back until the block ends, for imports: some libraries catch whatever is raised within theirs.
+
+    The second Ctrl-C is raised at once. Only Python's own handler is replaced: a job in the background ignores
+    Ctrl-C, an application may have another answer to it, and threads but the main one may not change it.
+    """
+    main_thread = threading.current_thread() is threading.main_thread()
+    if not main_thread or signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
+        yield
+        return
+    came = False
+
+    def note(*_: object) -> None:
+        nonlocal came
+        if came:
+            raise KeyboardInterrupt
+        came = True
+
+    signal.signal(signal.SIGINT, note)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+        if came:
+            raise KeyboardInterrupt
 
 
 class Parser(argparse.ArgumentParser):
@@ -81,6 +116,7 @@ def parser() -> Parser:
     demo.add_argument(
         "--size", type=size, default=(288, 216), metavar="WxH", help="pixels (default: 288x216)"
     )
+    _device(demo)
     _common(demo)
     demo.set_defaults(run=_demo)
 
@@ -95,6 +131,7 @@ def parser() -> Parser:
         "--exposure", type=float, default=0.0, metavar="STOPS", help="of the preview (default: 0)"
     )
     _scene(render)
+    _device(render)
     _common(render)
     render.set_defaults(run=_render)
 
@@ -115,12 +152,15 @@ def parser() -> Parser:
     return top
 
 
-def _common(command: argparse.ArgumentParser) -> None:
+def _device(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--device",
         metavar="SPEC",
         help="platform or platform:device, by index or part of the name (or PRTCL_DEVICE)",
     )
+
+
+def _common(command: argparse.ArgumentParser) -> None:
     command.add_argument("--quiet", action="store_true", help="no progress bar, no summary")
     command.add_argument("--json", action="store_true", help="the run's report as JSON on standard output")
 
@@ -145,7 +185,11 @@ def _scene(command: argparse.ArgumentParser) -> None:
         "--size", type=size, default=(512, 512), metavar="WxH", help="pixels (default: 512x512)"
     )
     command.add_argument("--samples", type=int, metavar="N", help="N x N sub-pixel points (default: adapts)")
-    command.add_argument("--points", choices=("pixel", "vertex"), default="pixel")
+    command.add_argument(
+        "--points",
+        choices=("pixel", "vertex"),
+        help="where radiance is computed (default: pixel; vertex for a bake)",
+    )
     command.add_argument("--one-sided", action="store_true", help="surfaces seen from behind are black")
     command.add_argument("--smooth", action="store_true", help="vertex normals averaged over the faces")
     fine = command.add_argument_group("resolution by hand (default: what the materials need; see --explain)")
@@ -170,34 +214,39 @@ def size(text: str) -> tuple[int, int]:
 
 
 # Commands are imported when they run: `prtcl --help` need not wait for OpenCL and trimesh.
+_LATER = ("embreex.mesh_construction", "tqdm")
+_LATER_ON_DEVICES = (*_LATER, "pyopencl.array")
+"""What the commands themselves import where they first need it, brought forward so that Ctrl-C is safe."""
+
+
+def _command(name: str, later: Sequence[str] = _LATER_ON_DEVICES) -> Callable[[argparse.Namespace], int]:
+    """A command's `run`, imported with all that it takes."""
+    with deferred_interrupts():
+        run: Callable[[argparse.Namespace], int] = import_module(f"prtcl.apps.{name}").run
+        for module in later:
+            with suppress(ImportError):  # reported where it is needed
+                import_module(module)
+    return run
 
 
 def _demo(options: argparse.Namespace) -> int:
-    from prtcl.apps.demo import run
-
-    return run(options)
+    return _command("demo")(options)
 
 
 def _render(options: argparse.Namespace) -> int:
-    from prtcl.apps.render import run
-
     _require_ending(options.output, ".exr", "; --png adds a preview")
-    return run(options)
+    return _command("render")(options)
 
 
 def _bake(options: argparse.Namespace) -> int:
-    from prtcl.apps.bake import run
-
     _require_ending(options.output, ".npz", ", by which `prtcl render` knows a bake")
-    return run(options)
+    return _command("bake", _LATER)(options)
+
+
+def _devices(options: argparse.Namespace) -> int:
+    return _command("devices", ())(options)
 
 
 def _require_ending(output: str, ending: str, why: str) -> None:
     if not output.lower().endswith(ending):
         raise InputError(f"--output {output}: expected a name that ends in {ending}{why}")
-
-
-def _devices(options: argparse.Namespace) -> int:
-    from prtcl.apps.devices import run
-
-    return run(options)

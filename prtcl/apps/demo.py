@@ -14,6 +14,7 @@ from prtcl.compute.device import Device
 from prtcl.errors import InputError
 from prtcl.factors.environment import Environment
 from prtcl.factors.sky import sun_sky
+from prtcl.files.atomic import replacing
 from prtcl.files.image import write_exr
 from prtcl.scene.camera import Camera
 from prtcl.scene.scene import Scene
@@ -64,7 +65,8 @@ def run(options: argparse.Namespace) -> int:
                 f"{folder / name}.png  {sum(report['points_shaded'].values())} points, "
                 f"{report['rays'] / 1e6:.1f} M rays, {report['seconds']['total']:.1f} s on {device.name}"
             )
-    (folder / "report.json").write_text(json.dumps(reports, indent=2) + "\n", encoding="utf-8")
+    with replacing(folder / "report.json") as aside:
+        aside.write_text(json.dumps(reports, indent=2) + "\n", encoding="utf-8")
     if options.json:
         print(json.dumps(reports, indent=2))
     return 0

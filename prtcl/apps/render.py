@@ -11,6 +11,7 @@ from prtcl.apps.progress import bar
 from prtcl.compute.device import Device
 from prtcl.errors import InputError
 from prtcl.files.atomic import check_not_input, check_writable
+from prtcl.scene.bake import Bake
 from prtcl.scene.camera import Camera
 from prtcl.scene.scene import Render, Scene, read_environment
 
@@ -27,12 +28,13 @@ def run(options: argparse.Namespace) -> int:
     for path in filter(None, (options.output, preview)):
         check_writable(path)
         check_not_input(path, options.mesh, options.env)
+    mesh = _read_bake(options) if options.mesh.lower().endswith(".npz") else options.mesh
     device = Device(options.device, precision=options.precision)
     environment, notes = read_environment(
         options.env, rotate=options.env_rotate, up=options.env_up, repair=options.repair
     )
     scene = Scene(
-        options.mesh, environment, options.brdf, device=device, two_sided=not options.one_sided,
+        mesh, environment, options.brdf, device=device, two_sided=not options.one_sided,
         smooth=options.smooth, levels=options.levels, rays=options.rays, keep=options.keep, views=options.views,
         method=options.method, hard=options.hard_light,
     )  # fmt: skip
@@ -49,7 +51,7 @@ def run(options: argparse.Namespace) -> int:
     for note in scene.notes:
         print(f"prtcl render: {note}", file=sys.stderr)
     with bar("render", options.quiet) as notify:
-        render = scene.render(points=options.points, samples=options.samples, progress=notify)
+        render = scene.render(points=options.points or "pixel", samples=options.samples, progress=notify)
     render.save(options.output, png=preview, exposure=options.exposure)
     if options.json:
         print(json.dumps(render.report, indent=2))
@@ -58,6 +60,30 @@ def run(options: argparse.Namespace) -> int:
     if options.explain:
         print(explain(render), file=sys.stderr if options.json else sys.stdout)
     return 0
+
+
+def _read_bake(options: argparse.Namespace) -> Bake:
+    """The bake that `options` name, unless they also ask for what was decided when it was made.
+
+    Raises
+    ------
+    InputError
+        If the bake cannot be read, or an option asks for other points, rays or normals than its own.
+    """
+    bake = Bake.load(options.mesh)
+    if options.points == "pixel":
+        raise InputError(
+            f"--points pixel: {options.mesh} holds the rays of vertices, not of pixels; render the mesh it was made of"
+        )
+    if options.rays not in (None, bake.rays):
+        raise InputError(
+            f"--rays {options.rays}: {options.mesh} was traced with {bake.rays}; bake again with --rays {options.rays}"
+        )
+    if options.smooth:
+        raise InputError(
+            f"--smooth: {options.mesh} keeps the normals it was traced with; bake again with --smooth"
+        )
+    return bake
 
 
 def summary(render: Render, output: str) -> str:

@@ -1,8 +1,8 @@
 """Which OpenCL device is used, and why.
 
 An explicit argument wins over the environment variable ``PRTCL_DEVICE``, which wins over the first GPU, then
-any accelerator, then the first CPU. Platforms with no device, and devices that cannot work, are skipped. A SPEC is ``platform`` or
-``platform:device``; each part is an index or a piece of the name, upper or lower case alike.
+any accelerator, then the first CPU. Platforms with no device, and devices that cannot work, are skipped. A SPEC
+is ``platform`` or ``platform:device``; each part is an index or a piece of the name, upper or lower case alike.
 """
 
 from __future__ import annotations

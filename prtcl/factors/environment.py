@@ -29,7 +29,7 @@ the work; no committed script repeats that trial yet."""
 HARD_LEVELS = 6
 """The grid whose cells the threshold is set for: a cell of it may hold at most `HARD_SHARE` of the mean
 irradiance, so that its place inside the cell cannot matter more than that."""
-HARD_SHARE = 0.005
+HARD_SHARE = 0.001
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import math
 from dataclasses import dataclass
 from typing import Any
@@ -71,6 +72,7 @@ class Material:
         if name == "table":
             return _read_table(rest, spec)
         given = _assignments(spec, rest)
+        _refuse_unknown(spec, name, given)
         if name == "ggx":
             if ("f0" in given) == ("eta" in given or "k" in given):
                 raise InputError(f"brdf {spec}: expected f0, or both eta and k\nforms: {FORMS}")
@@ -88,11 +90,6 @@ class Material:
             if parameter in _SCALARS and len(set(value)) > 1:
                 raise InputError(f"brdf {spec}: {parameter} expected one number, got {text}")
             numbers[parameter] = value[0] if parameter in _SCALARS else value
-        if given:
-            known = ", ".join(_PARAMETERS[name])
-            raise InputError(
-                f"brdf {spec}: unknown parameter {next(iter(given))!r}; {name.split('-')[0]} knows {known}"
-            )
         return cls(name, numbers, spec=spec)
 
     @classmethod
@@ -180,6 +177,22 @@ def _assignments(spec: str, text: str) -> dict[str, str]:
             raise InputError(f"brdf {spec}: {key.strip()} is given twice")
         given[key.strip()] = value.strip()
     return given
+
+
+def _refuse_unknown(spec: str, name: str, given: dict[str, str]) -> None:
+    """Name a misspelt parameter before another one is missed for it. Either form of ggx may be meant here."""
+    kinds = [kind for kind in _PARAMETERS if kind.split("-")[0] == name]
+    if name == "ggx" and "f0" in given and not {"eta", "k"} & given.keys():
+        kinds = ["ggx-schlick"]
+    known = list(dict.fromkeys(parameter for kind in kinds for parameter in _PARAMETERS[kind]))
+    for parameter in given:
+        if kinds and parameter not in known:
+            # 0.5 takes one slip in a short name such as f0 or kd; case is a slip too.
+            close = difflib.get_close_matches(parameter.lower(), known, n=1, cutoff=0.5)
+            meant = f"did you mean {close[0]}? " if close else ""
+            raise InputError(
+                f"brdf {spec}: unknown parameter {parameter!r}; {meant}{name} knows {', '.join(known)}"
+            )
 
 
 def _number(spec: str, parameter: str, text: str) -> tuple[float, ...]:

@@ -12,10 +12,16 @@ import numpy.typing as npt
 from prtcl import quadtree
 from prtcl.factors import hemisphere
 
-OFFSET = 2e-5
-"""Length by which ray origins leave the surface, in bounding-sphere radii. embree's hit points are good to a few
-float32 units of the unit sphere (about 5e-7); 40 times that does not hit the same triangle again. It is invisible on an
-object by itself, but not where a plane thousands of times its size sets the radius."""
+OFFSET = 4 * 2.0**-24
+"""Length by which ray origins leave the surface, in units of the surface's `reach`; about 1.2e-7 of the unit sphere on
+a mesh by itself. Measured with 640,000 rays, most of them grazing, on spheres, scans, an apartment full of slivers, and
+a flat and a tilted ground of up to 10^4 times the object: at a quarter of it up to a quarter of the rays hit the
+triangle they leave, at half of it none does. One length of 2e-5 for all was safe as well, but on a ground of 10^4 times
+its size the bunny got its light under an open sky wrong by 67 % and the ground by 8 %; now all bits are right."""
+
+REACH = (1e-6, 8.0)
+"""Bounds of `reach`. An axis-aligned plane through the centre is exact in float32, and yet its origins must leave it;
+slivers without area must not push those of their neighbours away."""
 
 RAYS_PER_TASK = 1 << 16
 
@@ -37,6 +43,11 @@ class Tracer:
     ----------
     vertices : (n, 3) float64, world
     faces : (m, 3) int32
+
+    Attributes
+    ----------
+    vertex_reach, face_reach : (n,), (m,) float64: how far float32 moves the surface there along its normal, in
+        units of 2**-24 of the unit sphere, see `origins`
     """
 
     def __init__(self, vertices: npt.NDArray[np.float64], faces: npt.NDArray[np.int32]) -> None:
@@ -49,12 +60,18 @@ class Tracer:
         self._scene = EmbreeScene(robust=True)
         local = ((vertices - self.centre) / self.radius).astype(np.float32)
         self._mesh = TriangleMesh(self._scene, np.ascontiguousarray(local), np.ascontiguousarray(faces))
+        # Positions interpolated in world coordinates carry float64's rounding, which survey coordinates magnify.
+        least = REACH[0] + 2.0**-27 * float(np.abs(self.centre).max()) / self.radius
+        self.vertex_reach, self.face_reach = _reach(local, faces, least)
 
     def _local(self, positions: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         return (np.asarray(positions, dtype=np.float64) - self.centre) / self.radius
 
     def origins(
-        self, positions: npt.NDArray[np.float64], normals: npt.NDArray[np.floating]
+        self,
+        positions: npt.NDArray[np.float64],
+        normals: npt.NDArray[np.floating],
+        reach: npt.NDArray[np.float64] | None = None,
     ) -> npt.NDArray[np.float32]:
         """Ray origins just off the surface, in the tracer's own coordinates: (n, 3) float32.
 
@@ -62,8 +79,12 @@ class Tracer:
         ----------
         positions : (n, 3) world
         normals : (n, 3) unit, of the surface itself (not the interpolated one), on the side of the viewer
+        reach : (n,) the tracer's `face_reach` or `vertex_reach` where the positions lie; None takes the largest of
+            all, which serves for positions anywhere, but lifts them more than need be where a large tilted plane
+            is part of the mesh
         """
-        return (self._local(positions) + OFFSET * normals).astype(np.float32)
+        away = OFFSET * (self.face_reach.max() if reach is None else np.asarray(reach)[:, None])
+        return (self._local(positions) + away * normals).astype(np.float32)
 
     def occluded(
         self, origins: npt.NDArray[np.float32], directions: npt.NDArray[np.float32]
@@ -186,6 +207,41 @@ class Tracer:
         return bits
 
 
+def _reach(
+    local: npt.NDArray[np.float32], faces: npt.NDArray[np.int32], least: float
+) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    """How far float32 moves each triangle along its normal n, in units of 2**-24; vertices take the most of theirs.
+
+    Rounding moves corner v by at most Σ_k |n_k| |v_k|. embree's distance is (v − o) · (a × b) / |a × b| with edges
+    a, b, whose product is rounded as well: Σ_k e_k (|a_i| |b_j| + |a_j| |b_i|) / |a × b| for the triangle's extent e.
+    Both are small for a triangle that is small and near the centre, and along the normal of an axis-aligned plane of
+    any size; both are about 1 for a large tilted plane, however near the point on it is.
+
+    Parameters
+    ----------
+    local : (n, 3), in the unit sphere
+    faces : (m, 3)
+    least : bound from below
+
+    Returns
+    -------
+    vertices : (n,), 0 where no face uses them; faces : (m,), the most of their corners', since a ray may as well hit
+        the neighbour
+    """
+    corners = local[faces].astype(np.float64)
+    a, b = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    cross = np.cross(a, b)
+    area = np.maximum(np.linalg.norm(cross, axis=1), 1e-300)
+    a, b = np.abs(a), np.abs(b)
+    products = np.stack([a[:, i] * b[:, j] + a[:, j] * b[:, i] for i, j in ((1, 2), (2, 0), (0, 1))], axis=1)
+    moved = np.abs(cross) * np.abs(corners).max(axis=1) + np.ptp(corners, axis=1) * products
+    bounded = np.clip(moved.sum(axis=1) / area, least, max(least, REACH[1]))
+    vertices = np.zeros(len(local))
+    for corner in faces.T:
+        np.maximum.at(vertices, corner, bounded)
+    return vertices, vertices[faces].max(axis=1)
+
+
 def _pack(visible: npt.NDArray[np.bool_], words: int) -> npt.NDArray[np.uint32]:
     packed = np.packbits(visible, axis=1, bitorder="little")
     padded = np.zeros((len(visible), 4 * words), dtype=np.uint8)
@@ -198,5 +254,9 @@ def _in_parallel(run: Callable[[slice], object], count: int, size: int) -> list:
     parts = [slice(start, min(start + size, count)) for start in range(0, count, size)]
     if len(parts) <= 1:
         return [run(part) for part in parts]
-    with ThreadPoolExecutor(threads()) as pool:
+    pool = ThreadPoolExecutor(threads())
+    try:
         return list(pool.map(run, parts))
+    finally:
+        # Leaving a `with` would finish all that waits, so that Ctrl-C could go unanswered for the whole job.
+        pool.shutdown(cancel_futures=True)

@@ -41,7 +41,7 @@ def read_hdr(path: Path) -> tuple[NDArray[np.float32], list[str]]:
         import OpenImageIO
     except ImportError as error:
         raise InputError(
-            f"{path}: reading Radiance pictures takes OpenImageIO; run: pip install 'prtcl[hdr]'"
+            f"{path}: reading Radiance pictures takes OpenImageIO (prtcl's extra hdr); run: pip install openimageio"
         ) from error
     image = OpenImageIO.ImageInput.open(str(path))
     if image is None:

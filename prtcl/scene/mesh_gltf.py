@@ -19,7 +19,7 @@ from trimesh.resolvers import FilePathResolver
 
 from prtcl.errors import InputError
 from prtcl.scene.mesh_gltf_nodes import material_of, placements
-from prtcl.scene.mesh_raw import PartMaterial, RawMesh, concatenate, single
+from prtcl.scene.mesh_raw import PartMaterial, RawMesh, concatenate, not_read, single
 
 _JSON_CHUNK = 0x4E4F534A
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
@@ -97,6 +97,7 @@ def _triangle_primitives(path: Path, tree: dict[str, Any], notes: list[str]) -> 
     """Return each mesh's triangle primitives, whose accessors trimesh is known to decode."""
     kept: list[list[dict[str, Any]]] = []
     skipped = 0
+    coloured = False
     for mesh in tree.get("meshes", []):
         triangles = []
         for primitive in mesh["primitives"]:
@@ -112,10 +113,13 @@ def _triangle_primitives(path: Path, tree: dict[str, Any], notes: list[str]) -> 
                 _check_accessor(path, tree, attributes["NORMAL"], (_FLOAT,), "VEC3")
             if "indices" in primitive:
                 _check_accessor(path, tree, primitive["indices"], _INDEX_TYPES, "SCALAR")
+            coloured |= "COLOR_0" in attributes
             triangles.append(primitive)
         kept.append(triangles)
     if skipped:
         notes.append(f"left out {skipped} groups of points or lines")
+    if coloured:
+        notes.append(not_read("vertex colours"))
     if tree.get("skins"):
         notes.append("skinning is not applied")
     return kept

@@ -86,7 +86,8 @@ def material_of(tree: dict[str, Any], primitive: dict[str, Any], notes: list[str
             "metallicFactor": 0.0,
             "roughnessFactor": roughness,
         }
-    if {"baseColorTexture", "metallicRoughnessTexture"} & factors.keys():
+    groups = (material, material.get("pbrMetallicRoughness", {}), *material.get("extensions", {}).values())
+    if any(key.endswith("Texture") for group in groups if isinstance(group, dict) for key in group):
         notes.append(f"material '{name}': textures are not read, its factors are used alone")
     red, green, blue = (float(value) for value in factors.get("baseColorFactor", (1.0, 1.0, 1.0, 1.0))[:3])
     values = (

@@ -19,7 +19,7 @@ from trimesh.geometry import triangulate_quads
 from prtcl.errors import InputError
 from prtcl.scene.mesh_gltf import load_gltf_scene
 from prtcl.scene.mesh_obj import load_obj
-from prtcl.scene.mesh_raw import RawMesh, concatenate, single
+from prtcl.scene.mesh_raw import RawMesh, concatenate, not_read, single
 
 # trimesh logs tracebacks of what it survives. Where the application sets up no logging, Python would print
 # them to stderr beside our own message; this handler keeps them for applications that do.
@@ -109,7 +109,12 @@ def _read_ply(path: Path, data: bytes) -> RawMesh:
     faces = np.asarray(loaded["faces"])
     if faces.ndim == 2 and faces.shape[1] > 3:
         faces = triangulate_quads(faces)
-    return single(loaded["vertices"], faces, loaded.get("vertex_normals"))
+    mesh = single(loaded["vertices"], faces, loaded.get("vertex_normals"))
+    if re.search(rb"^property\s+\S+\s+(diffuse_)?r(ed)?\s*$", header, re.MULTILINE):
+        mesh.notes.append(not_read("vertex or face colours"))
+    if re.search(rb"^comment\s+TextureFile\s", header, re.MULTILINE):
+        mesh.notes.append(not_read("textures"))
+    return mesh
 
 
 def _same_polygons(path: Path, loaded: dict[str, Any]) -> None:

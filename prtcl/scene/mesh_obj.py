@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prtcl.errors import InputError
-from prtcl.scene.mesh_raw import PartMaterial, RawMesh
+from prtcl.scene.mesh_raw import PartMaterial, RawMesh, not_read
 
 
 class _Lines:
@@ -29,6 +29,7 @@ class _Lines:
         self.parts: list[int] = []
         self.keys: dict[tuple[str, str | None], int] = {}  # (object, material) to part
         self.libraries: list[str] = []
+        self.coloured = False  # a vertex line has red, green and blue after its position
         self.known: dict[str, tuple[int, int]] = {}  # corners parsed before, as each occurs about six times
 
 
@@ -66,7 +67,7 @@ def load_obj(path: Path, data: bytes) -> RawMesh:
             f"{path}: a face points outside the {len(vertices)} vertices, triangle {face} (from 0); "
             "the file is damaged"
         )
-    notes: list[str] = []
+    notes = [not_read("vertex colours")] if lines.coloured else []
     known = _materials(path, lines.libraries, notes)
     materials: list[PartMaterial | None] = []
     for _, material in lines.keys:
@@ -92,6 +93,7 @@ def _parse(path: Path, data: bytes, lines: _Lines) -> None:
             match words[0]:
                 case "v":
                     lines.vertices.append((float(words[1]), float(words[2]), float(words[3])))
+                    lines.coloured |= len(words) >= 7
                 case "vn":
                     lines.normals.append((float(words[1]), float(words[2]), float(words[3])))
                 case "f":

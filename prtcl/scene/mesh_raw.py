@@ -58,6 +58,11 @@ class RawMesh:
     notes: list[str] = field(default_factory=list)
 
 
+def not_read(what: str) -> str:
+    """The note on a file's vertex colours or textures."""
+    return f"has {what}, which are not read yet; --brdf or the file's material factors say what colour it is"
+
+
 def single(vertices: Any, faces: Any, normals: Any = None, material: PartMaterial | None = None) -> RawMesh:
     """Wrap the arrays of one part.
 

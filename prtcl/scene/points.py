@@ -122,7 +122,7 @@ def pixel_points(
         shading = shading * np.where(_dot(shading, hits.towards) < 0.0, -1.0, 1.0)
     frames = hemisphere.frames_from(shading, hits.towards)
     return Points(
-        origins=tracer.origins(positions, outside),
+        origins=tracer.origins(positions, outside, tracer.face_reach[hits.face]),
         frames=frames,
         views=np.einsum("nij,nj->ni", frames, hits.towards).astype(np.float32),
         material=mesh.parts[hits.face].astype(np.int32),
@@ -157,7 +157,8 @@ def vertex_points(
     if towards is not None:
         views = np.einsum("nij,nj->ni", frames, towards).astype(np.float32)
     alone = np.full(len(chosen), hemisphere.ALONE, dtype=np.int32)
-    return Points(tracer.origins(positions, normal), frames, views, part[chosen], alone, eye is not None)
+    origins = tracer.origins(positions, normal, tracer.vertex_reach[chosen])
+    return Points(origins, frames, views, part[chosen], alone, eye is not None)
 
 
 def with_eye(points: Points, positions: Array, eye: npt.ArrayLike) -> Points:

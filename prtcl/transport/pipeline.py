@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any
@@ -83,7 +84,9 @@ class Pipeline:
     ) -> None:
         self.device, self.settings, self.budget = device, settings, budget
         with device.profile.host("split_light"):
-            self.light = environment.split(settings.levels, settings.hard)
+            self.unit = _unit(environment)
+            scaled = replace(environment, image=environment.image / np.float32(self.unit))
+            self.light = scaled.split(settings.levels, settings.hard)
         self.materials = Materials(device, materials)
         self.channels = 1 if self.light.grey else 3
         self.table = ViewTable.make(polar, settings.views)
@@ -176,7 +179,13 @@ class Pipeline:
 
     def _fetch(self, radiance: Any) -> npt.NDArray[np.floating]:
         with self.device.profile.host("wait_for_device"):
-            return np.asarray(radiance.get()[:, :3])
+            return np.asarray(radiance.get()[:, :3] * self.unit)
+
+
+def _unit(environment: Environment) -> float:
+    """The power of two that radiance is stored in: 1 but for light so bright or dim that sums leave float32's range."""
+    largest = float(environment.image.max(initial=0.0))
+    return 1.0 if largest == 0.0 or 2.0**-60 < largest < 2.0**60 else 2.0 ** (math.frexp(largest)[1] - 1)
 
 
 class Pipelines:

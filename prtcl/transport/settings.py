@@ -36,7 +36,7 @@ class Settings:
     views: int = 128
     method: str = "auto"
     hard: str = "auto"
-    pixel_error: float = 0.01
+    pixel_error: float = 0.007
 
     def __post_init__(self) -> None:
         for name in ("levels", "rays", "keep"):
@@ -77,16 +77,17 @@ def choose(material: Material, alone: bool = False) -> tuple[Settings, str]:
     Parameters
     ----------
     alone : True for points that share no pixel with others (vertices): their own rays are all they have. The
-        sub-pixel points of one pixel send theirs to different places in the cells, so 4**4 rays of each are enough,
-        given the weight of `hemisphere.ray_weights`.
+        sub-pixel points of one pixel send theirs to different places in the cells, so a quarter of the rays of each
+        are enough, given the weight of `hemisphere.ray_weights`.
     """
     alpha = material.roughness
     if alpha >= 0.25:
-        settings = Settings(levels=5, rays=4, keep=5, views=128, pixel_error=0.01)
+        # A lobe sees part of the hemisphere, where the places of the rays average less.
+        settings = Settings(levels=5, rays=5 if alpha < 0.6 else 4, keep=5, views=128)
     elif alpha >= 0.08:
-        settings = Settings(levels=6, rays=4, keep=6, views=256, pixel_error=0.01)
+        settings = Settings(levels=6, rays=5, keep=6, views=256)
     else:
         settings = Settings(levels=7, rays=5, keep=7, views=512, pixel_error=0.02)
     if alone:
-        settings = replace(settings, rays=settings.rays + 1)
+        settings = replace(settings, rays=min(settings.levels, settings.rays + 1))
     return settings, f"{material.spec}: its lobe is as wide as that of GGX alpha {alpha:.3g}"
