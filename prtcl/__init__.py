@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from prtcl.scene.mesh import read_mesh as read_mesh
     from prtcl.scene.scene import Render as Render
     from prtcl.scene.scene import Scene as Scene
+    from prtcl.scene.session import Session as Session
     from prtcl.stages import brdf as brdf
     from prtcl.stages import environment as environment
     from prtcl.stages import haar as haar
@@ -46,6 +47,7 @@ _HOMES = {
     "prtcl.scene.camera": ("Camera",),
     "prtcl.scene.mesh": ("Mesh", "read_mesh"),
     "prtcl.scene.scene": ("Render", "Scene"),
+    "prtcl.scene.session": ("Session",),
     "prtcl.stages": (
         "brdf",
         "environment",

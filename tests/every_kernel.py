@@ -24,9 +24,9 @@ from prtcl.factors import environment, hemisphere
 from prtcl.factors.environment import Environment, Light
 from prtcl.factors.material import Material, from_table
 from prtcl.factors.slices import Materials
-from prtcl.transport import collapse, shade
+from prtcl.transport import collapse, cut, shade
 from prtcl.transport.settings import Settings
-from prtcl.wavelet import haar, triple
+from prtcl.wavelet import haar, pyramid, triple
 
 POINTS = 65
 """One more than a work-group."""
@@ -250,9 +250,47 @@ def hard_light(device: Device) -> None:
     close(device, out.get(), expected, slack=10)
 
 
+def editing(device: Device) -> None:
+    """Packed parent sums and radiance over cuts, the fast kernel against its plain twin."""
+    rng = np.random.default_rng(4)
+    chosen = all_materials()
+    materials = Materials(device, chosen)
+    for levels, channels in ((1, 3), (2, 1), (4, 3)):
+        points = 5
+        samples = rng.uniform(0.1, 1, (points, channels, 4**levels))
+        sums = device.array(np.zeros((points, quadtree.n_squares(levels + 1))), np.uint32)
+        pyramid.pack(
+            device, device.array(samples), device.array(np.arange(points)[::-1], np.int32), sums, 1024.0
+        )
+        means = pyramid.unpack(sums.get()[::-1], 1024.0)[:, 0]
+        expected = np.broadcast_to(samples.mean(axis=2), (points, 3))
+        assert np.abs(means / expected - 1).max() < 2 * pyramid.ROUNDING
+        own = cut.whole(levels)
+        starts = np.concatenate([own.starts] * len(chosen))
+        wanted = device.array(rng.integers(0, points, POINTS), np.int32)
+        material = device.array(np.arange(points) % len(chosen), np.int32)
+        views = device.empty((POINTS, 4))
+        defines = {"LEVELS": levels, "SIDE": cut.SIDE, "KINDS": materials.mask}
+        built = device.kernels("cut.cl", GROUP=64, **defines)
+        device.launch(
+            built["local_views"], POINTS, 64, device.array(rng.uniform(-1, 1, (points, 3))),
+            device.array(cases.frames(points)), wanted, 3.0, 4.0, 5.0, views, POINTS,
+        )  # fmt: skip
+        inputs = (
+            *materials.arguments, material, device.array(cut.leaf_directions(levels)),
+            device.array(quadtree.turned_squares(levels), np.int32), device.array(own.leaves, np.int32),
+            device.array(starts, np.int32), sums, wanted, views,
+        )  # fmt: skip
+        fast, plain = device.empty((POINTS, 4)), device.empty((POINTS, 4))
+        small = device.kernels("cut.cl", GROUP=16, **defines)
+        device.launch(small["shade_cut"], 16, 16, *inputs, fast, 1 / 1024.0, 0, y=POINTS)
+        device.launch(built["shade_cut_plain"], POINTS, 64, *inputs, plain, 1 / 1024.0, POINTS)
+        close(device, fast.get(), plain.get().astype(np.float64))
+
+
 TASKS: tuple[Callable[[Device], None], ...] = (
     haar_both_ways, triple_products, visibility, environment_gathered_and_splat, light_and_visibility, reflectance,
-    radiance, hard_light,
+    radiance, hard_light, editing,
 )  # fmt: skip
 
 

@@ -1,4 +1,4 @@
-"""The command line: `prtcl demo | render | bake | devices`.
+"""The command line: `prtcl demo | render | bake | view | devices`.
 
 Exit status: 0 done, 1 the job failed, 2 the input or the command line was wrong. An error is one or two lines that
 name the file or the option and say what to do.
@@ -145,11 +145,59 @@ def parser() -> Parser:
     _common(bake)
     bake.set_defaults(run=_bake)
 
+    _view_parser(commands)
+
     devices = commands.add_parser("devices", help="what OpenCL sees, which is used, why")
     devices.add_argument("--device", metavar="SPEC", help="see what a SPEC would choose")
     devices.add_argument("--json", action="store_true")
     devices.set_defaults(run=_devices)
     return top
+
+
+def _view_parser(commands: Any) -> None:
+    from prtcl.factors.material import FORMS
+
+    view = commands.add_parser("view", help="edit materials and light in the browser")
+    view.add_argument("mesh", metavar="MESH|BAKE", help="OBJ, PLY, STL, GLB, glTF, or a bake (.npz)")
+    view.add_argument(
+        "--env", required=True, nargs="+", action="extend", metavar="ENV",
+        help="equirectangular EXR or HDR maps, or folders of them: what the page may choose from",
+    )  # fmt: skip
+    view.add_argument(
+        "-o",
+        "--output",
+        default=".",
+        metavar="DIR",
+        help="where the page saves (default: the current folder)",
+    )
+    view.add_argument("--brdf", metavar="SPEC", help=f"first material: {FORMS} (default: the mesh's own)")
+    view.add_argument("--env-rotate", type=float, default=0.0, metavar="DEG", help="(default: 0)")
+    view.add_argument("--env-up", choices=("y", "z"), default="y", help="the up axis (default: y)")
+    view.add_argument("--repair", action="store_true", help="replace NaN, infinite and negative radiance")
+    view.add_argument("--smooth", action="store_true", help="vertex normals averaged over the faces")
+    view.add_argument(
+        "--size",
+        type=size,
+        default=(1280, 800),
+        metavar="WxH",
+        help="of a picture at most (default: 1280x800)",
+    )
+    view.add_argument(
+        "--levels", type=int, metavar="R",
+        help="light and product on 4^R directions (default: 6, or what the device's memory holds)",
+    )  # fmt: skip
+    view.add_argument("--rays", type=int, metavar="R", help="visibility on 4^R directions (default: 5)")
+    view.add_argument(
+        "--error", type=float, default=0.01, metavar="E", help="relative, of the cuts (default: 0.01)"
+    )
+    view.add_argument(
+        "--host", default="127.0.0.1", help="address to listen at (default: 127.0.0.1, this machine only)"
+    )
+    view.add_argument("--port", type=int, default=8080, help="0 takes any that is free (default: 8080)")
+    view.add_argument("--open", action="store_true", help="open the page in the browser")
+    view.add_argument("--quiet", action="store_true", help="no progress bar, no address")
+    _device(view)
+    view.set_defaults(run=_view)
 
 
 def _device(command: argparse.ArgumentParser) -> None:
@@ -241,6 +289,10 @@ def _render(options: argparse.Namespace) -> int:
 def _bake(options: argparse.Namespace) -> int:
     _require_ending(options.output, ".npz", ", by which `prtcl render` knows a bake")
     return _command("bake", _LATER)(options)
+
+
+def _view(options: argparse.Namespace) -> int:
+    return _command("view")(options)
 
 
 def _devices(options: argparse.Namespace) -> int:

@@ -26,6 +26,9 @@ PRECISIONS = {
 }
 """Precision: (type stored, type of sums and products, NumPy dtype stored)."""
 
+MAX_ROWS = 65_535
+"""Rows of work-items one launch may have: CUDA's limit on a grid's second dimension, which OpenCL on it inherits."""
+
 
 class Device:
     """Context, queue and program cache of one OpenCL device.
@@ -199,17 +202,24 @@ class Device:
     ) -> Any:
         """Enqueue `kernel` over at least `items` work-items in x, in groups of `group`, and `y` rows of them.
 
-        The work-group size is always stated: PoCL otherwise picks a large one on its own.
+        The work-group size is always stated: PoCL otherwise picks a large one on its own. More than `MAX_ROWS`
+        rows go in several launches with an offset, so a kernel learns its row from get_global_id(1), never from
+        get_group_id(1).
 
         Returns
         -------
-        event : pyopencl.Event, also recorded in `profile` under `stage` (default: the kernel's name)
+        event : pyopencl.Event of the last launch; all are recorded in `profile` under `stage` (default: the
+            kernel's name)
         """
         if items == 0 or y == 0:
             return None
         data = [self._argument(argument) for argument in arguments]
-        global_size = (-(-items // group) * group, y)
+        width = -(-items // group) * group
         with self._lock:  # argument setting and enqueueing of one kernel object is not thread-safe
-            event = kernel(self.queue, global_size, (group, 1), *data)
-        self.profile.add(stage or kernel.function_name, event)
-        return event
+            events = [
+                kernel(self.queue, (width, min(MAX_ROWS, y - row)), (group, 1), *data, global_offset=(0, row))
+                for row in range(0, y, MAX_ROWS)
+            ]
+        for event in events:
+            self.profile.add(stage or kernel.function_name, event)
+        return events[-1]

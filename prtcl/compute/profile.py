@@ -38,8 +38,8 @@ class Profile:
             self._host[stage] += time.perf_counter() - start
 
     def per_point(self, stage: str, count: int) -> None:
-        """State how many bytes a stage keeps for each point."""
-        self._bytes[stage] = count
+        """State how many bytes a stage keeps for each point; of several statements the largest holds."""
+        self._bytes[stage] = max(count, self._bytes.get(stage, 0))
 
     def _collect(self) -> None:
         for stage, event in self._pending:

@@ -33,6 +33,16 @@ HARD_SHARE = 0.001
 
 
 @dataclass(frozen=True, eq=False)
+class _Parts:
+    """Soft cube and hard samples on the axes of the map `image`, as `Light` describes them."""
+
+    image: npt.NDArray[np.float32]
+    cube: npt.NDArray[np.float32]
+    hard: npt.NDArray[np.float64]
+    hard_share: float
+
+
+@dataclass(frozen=True, eq=False)
 class Environment:
     """An equirectangular map over the world's directions.
 
@@ -54,6 +64,8 @@ class Environment:
     rotate: float = 0.0
     up: str = "y"
     name: str = "environment"
+    _parts: dict[tuple[int, str, int], _Parts] = field(default_factory=dict, repr=False)
+    """What `split` made on the map's own axes; `dataclasses.replace` hands it on, so a turned map is not split anew."""
 
     def __post_init__(self) -> None:
         shape = np.shape(self.image)
@@ -104,6 +116,18 @@ class Environment:
         -------
         light : Light
         """
+        key = (levels, hard, max_samples)
+        if key not in self._parts or self._parts[key].image is not self.image:
+            self._parts[key] = self._split(levels, hard, max_samples)
+        parts = self._parts[key]
+        world = parts.hard.copy()
+        world[:, :3] = parts.hard[:, :3] @ self.to_map  # rows times the matrix: its transpose, map to world
+        return Light(
+            cube=parts.cube, hard=world, to_map=self.to_map, levels=levels, hard_share=parts.hard_share
+        )
+
+    def _split(self, levels: int, hard: str, max_samples: int) -> _Parts:
+        """`split` on the map's own axes."""
         image = np.asarray(self.image, dtype=np.float64)
         solid = self.texel_solid_angles()
         mean = float((image.mean(axis=2) * solid[:, None]).sum() / (4 * np.pi))
@@ -123,15 +147,8 @@ class Environment:
             lights = hardlight.cluster(fine.directions, excess * fine.solid_angles[:, None], max_samples)
             parts = chain(parts, [hardlight.Subtexels(fine.directions, soft, fine.solid_angles)])
         total = float((image.sum(axis=2) * solid[:, None]).sum())
-        world = lights.copy()
-        world[:, :3] = lights[:, :3] @ self.to_map  # rows times the matrix: its transpose, map to world
-        return Light(
-            cube=splat_cube(parts, face),
-            hard=world,
-            to_map=self.to_map,
-            levels=levels,
-            hard_share=float(lights[:, 3:].sum()) / total if total else 0.0,
-        )
+        share = float(lights[:, 3:].sum()) / total if total else 0.0
+        return _Parts(self.image, splat_cube(parts, face), lights, share)
 
 
 @dataclass(frozen=True, eq=False)

@@ -29,10 +29,8 @@ from prtcl.transport.settings import Settings, choose
 
 BATCH = 1 << 17
 """Sub-pixel points in flight: bounds the host's memory whatever the image's size."""
-MOST = 256
-"""Points that an adaptive pixel may end with: 16 × 16."""
-MOST_HARD = 1024
-"""The same for hard light alone: 32 × 32."""
+MOST = 1024
+"""Points that an adaptive pixel may end with: 32 × 32."""
 
 PER_POINT = (
     "visibility_rays", "hard_light_rays", "environment_gather", "light_times_visibility", "haar_forward",
@@ -161,7 +159,7 @@ class Scene:
         ----------
         points : "pixel" computes radiance at what each pixel sees; "vertex" at the mesh's vertices, between
             which it is interpolated. A bake always renders its vertices.
-        samples : N × N sub-pixel points a pixel; None adapts, from 2 × 2 up to 16 × 16
+        samples : N × N sub-pixel points a pixel; None adapts, from 2 × 2 up to 32 × 32
         progress : called with (points done, points known of so far), from worker threads
 
         Raises
@@ -208,7 +206,7 @@ class Scene:
         layers = [Layer(film, PixelShader(self, pipeline.soft, count, "soft"), FIRST, MOST)]
         if len(pipeline.light.hard):
             shader = PixelShader(self, pipeline.hard, count, "hard")
-            layers.append(Layer(Film(self.camera.size), shader, FIRST_HARD, MOST_HARD))
+            layers.append(Layer(Film(self.camera.size), shader, FIRST_HARD, MOST))
         return layers
 
     def _refine(self, layers: list[Layer]) -> None:

@@ -68,7 +68,24 @@ def reduced_coefficients(
         coefficients = haar.forward(device, soft)
         seen = visibility_coefficients(device, bits, settings.rays, levels)
         return triple.reduce(device, coefficients, seen, keep=keep)
-    count = len(frames)
+    product = product_samples(device, light, bits, frames, settings, channels, grid)
+    return haar.forward(device, product, scale=2.0 ** (levels - keep))
+
+
+def product_samples(
+    device: Device,
+    light: Light,
+    bits: Any,
+    frames: npt.NDArray[np.float32],
+    settings: Settings,
+    channels: int = 3,
+    grid: npt.NDArray[np.int32] | None = None,
+) -> Any:
+    """L V itself, averaged over the cells of 4**keep directions: device array (n, channels, 4**keep).
+
+    Parameters are those of `reduced_coefficients`, which transforms this.
+    """
+    levels, keep, count = settings.levels, settings.keep, len(frames)
     product = device.empty((count, channels, quadtree.n_samples(keep)))
     kernel = device.kernels(
         "product.cl", LEVELS=levels, BITS=settings.rays, KEEP=keep, CHANNELS=channels,
@@ -84,7 +101,7 @@ def reduced_coefficients(
         device.array(bits, np.uint32, name="bits"), device.array(weights), device.array(row, np.int32), product,
         y=count,
     )  # fmt: skip
-    return haar.forward(device, product, scale=2.0 ** (levels - keep))
+    return product
 
 
 def _ray_weights(

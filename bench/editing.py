@@ -1,0 +1,131 @@
+"""Editing: frame time and error of a session's materials, at a mesh's vertices.
+
+    python bench/editing.py [--mesh stanford_bunny] [--environment modern_buildings_2] [-o bench/results/editing.json]
+
+A frame is a new view and a new material, all vertices that face the eye shaded anew; visibility and L + V are there
+(their seconds are shown, too). `cut error` is against the same session's exact mode, `error` against equation (1) on
+256 x 256 directions in float64 at a sample of vertices, rays by embree. Medians of nine frames after a warm-up.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from pathlib import Path
+from statistics import median
+
+import numpy as np
+import scenes
+
+from prtcl import reference
+from prtcl.compute.device import Device
+from prtcl.scene.points import vertex_points
+from prtcl.scene.session import Session
+
+SPECS = ("lambert:albedo=0.5", "ggx:alpha=0.3,eta=0.2,k=3.0", "ggx:alpha=0.3,f0=0.04,kd=0.5",
+         "ggx:alpha=0.1,eta=0.2,k=3.0", "ggx:alpha=0.05,eta=0.2,k=3.0")  # fmt: skip
+FRAMES, LEVELS, THRESHOLD = 9, 8, 30.0
+
+
+def truth(session: Session, vertices: np.ndarray, eye: np.ndarray) -> np.ndarray:  # type: ignore[type-arg]
+    """(materials, vertices, 3) by the definition: soft light on 4^8 directions, its peaks by half texels."""
+    environment, mesh = session.light, session.mesh
+    points = vertex_points(mesh, session.tracer, None, vertices)
+    solid = environment.texel_solid_angles()[:, None]
+    threshold = THRESHOLD * float((environment.image.mean(axis=2) * solid).sum() / (4 * np.pi))
+    peaks = reference.peaks(environment.image, threshold)
+    out = np.zeros((len(SPECS), len(vertices), 3))
+    for i in range(len(vertices)):
+        axes = points.frames[i].astype(np.float64)
+        view = axes @ (eye - mesh.vertices[vertices[i]])
+        view /= np.linalg.norm(view)
+        local = reference.directions(LEVELS)
+        world = local @ axes
+        light = reference.environment_below(environment.image, world, threshold) * (2 * np.pi / 4**LEVELS)
+        up = peaks[0] @ axes[2] > 0
+        local, world = np.vstack([local, peaks[0][up] @ axes.T]), np.vstack([world, peaks[0][up]])
+        light = np.vstack([light, peaks[1][up]])
+        origins = np.repeat(points.origins[i : i + 1], len(world), axis=0)
+        seen = ~session.tracer.occluded(origins, world.astype(np.float32))
+        incoming = light[seen] * local[seen, 2:3]
+        for m, spec in enumerate(SPECS):
+            session.material = spec
+            out[m, i] = (incoming * reference.brdf(session.material.reference(), local[seen], view)).sum(
+                axis=0
+            )
+    return out
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--mesh", default="stanford_bunny")
+    parser.add_argument("--environment", default="modern_buildings_2")
+    parser.add_argument("--sample", type=int, default=100)
+    parser.add_argument("-o", "--output", type=Path)
+    options = parser.parse_args()
+    scenes.require_data()
+    device = Device()
+    session = Session(
+        scenes.mesh_path(options.mesh), scenes.environment_path(options.environment), device=device
+    )
+    mesh, eye = session.mesh, np.asarray(session.camera.eye)
+    towards = eye - mesh.vertices
+    towards = towards / np.linalg.norm(towards, axis=1, keepdims=True)
+    facing = np.flatnonzero((towards * mesh.normals).sum(axis=1) > 0)
+    session.radiance(tuple(eye), facing)
+    once = {k: round(v, 2) for k, v in session.last.seconds.items()}
+    print(f"{len(mesh.vertices)} vertices, {len(facing)} face the eye; once: {once}")
+    rng = np.random.default_rng(5)
+    well = np.flatnonzero((towards * mesh.normals).sum(axis=1) > 0.15)
+    some = np.sort(rng.choice(well, options.sample, replace=False))
+    exact_truth = truth(session, some, eye)
+    rows = []
+    for m, spec in enumerate(SPECS):
+        session.material = spec
+        session.error = 0.0
+        exact = session.radiance(tuple(eye), facing)
+        session.error = 0.01
+        start = time.perf_counter()
+        got = session.radiance(tuple(eye), facing)
+        first = time.perf_counter() - start
+        sampled = session.radiance(tuple(eye), some)
+        seconds = []
+        device.profile.reset()
+        for frame in range(FRAMES + 1):
+            session.material = session.material  # dressed anew, as an edit does
+            start = time.perf_counter()
+            session.radiance(tuple(eye + 1e-3 * frame * mesh.scale), facing)
+            seconds.append(time.perf_counter() - start)
+        stages = {k: round(1e3 * v / (FRAMES + 1), 2) for k, v in device.profile.device_seconds().items()}
+        rows.append(
+            {
+                "material": spec, "frames_per_second": 1 / median(seconds[1:]),
+                "milliseconds": 1e3 * median(seconds[1:]),
+                "first_with_a_new_cut_ms": 1e3 * first, "device_ms": stages,
+                "leaves": len(session._dress.cuts[0].leaves) / 136,  # type: ignore[union-attr]
+                "cut_error": scenes_rmse(got, exact), "error": scenes_rmse(sampled, exact_truth[m]),
+            }
+        )  # fmt: skip
+        row = rows[-1]
+        print(
+            f"{spec:30} {row['milliseconds']:.1f} ms ({row['frames_per_second']:.1f}/s), new cut "
+            f"{row['first_with_a_new_cut_ms']:.0f} ms, {row['leaves']:.0f} leaves, "
+            f"cut error {100 * row['cut_error']:.2f} %, error {100 * row['error']:.2f} %, {stages}",
+            flush=True,
+        )
+    if options.output is not None:
+        result = {
+            "device": device.name, "driver": device.handle.driver_version, "command": "python bench/editing.py",
+            "mesh": options.mesh, "environment": options.environment, "vertices": len(mesh.vertices),
+            "shaded": len(facing), "once_seconds": once, "rows": rows,
+        }  # fmt: skip
+        options.output.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+
+
+def scenes_rmse(got: np.ndarray, exact: np.ndarray) -> float:  # type: ignore[type-arg]
+    return float(np.sqrt(((got.astype(np.float64) - exact) ** 2).mean()) / exact.mean())
+
+
+if __name__ == "__main__":
+    main()

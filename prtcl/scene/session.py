@@ -1,0 +1,359 @@
+"""An editing session: geometry stands still, light changes now and then, materials and views all the time."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections import OrderedDict
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from prtcl.compute.device import Device
+from prtcl.errors import InputError
+from prtcl.factors.environment import Environment
+from prtcl.factors.material import Material
+from prtcl.factors.visibility import Progress, Tracer
+from prtcl.scene.bake import Bake
+from prtcl.scene.camera import Camera, Triple
+from prtcl.scene.mesh import Mesh, read_mesh
+from prtcl.scene.points import shoot, vertex_points
+from prtcl.scene.scene import Path, Render, own_materials, read_environment
+from prtcl.transport.edit import Dress, Relit
+
+ERROR = 0.01
+"""What the cuts may leave out by default, relative."""
+HISTORY = 1000
+KEPT_VIEWS = 4
+"""Cameras whose hits are kept, so that an edit under a still camera shoots no ray."""
+
+
+@dataclass
+class Work:
+    """What the last view recomputed: only stages that had something to do are in it.
+
+    Attributes
+    ----------
+    seconds : wall seconds by stage: light, visibility, collapse, cuts, camera_rays, shade, image
+    points : points by stage, for those that work on points
+    """
+
+    seconds: dict[str, float] = field(default_factory=dict)
+    points: dict[str, int] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
+class _Seen:
+    """What a camera's rays hit: for every sub-pixel sample its pixels, their faces' corners and weights."""
+
+    samples: list[tuple[npt.NDArray[np.int64], npt.NDArray[np.int32], npt.NDArray[np.float32]]]
+    vertices: npt.NDArray[np.int32]
+
+
+class Session:
+    """This mesh under this light, its materials and the view free to change.
+
+    Radiance is computed at the mesh's vertices and interpolated over its faces. Visibility and L ⊕ V of a vertex are
+    computed when a view first needs them, and kept; after that a change of material or view costs it the leaves of one
+    cut of the quadtree, with the BRDF evaluated exactly (`prtcl.transport.cut`), and its hard light.
+
+    Parameters
+    ----------
+    mesh : a `Mesh`, a path to one, or a `Bake` or a path to one (.npz), whose visibility is then used
+    light : an `Environment`, a path to an EXR or HDR map, or an array (h, 2 h, 3)
+    material : a SPEC or a `Material` for the whole mesh; a list of one for each part; None takes the mesh's own
+    camera : the first view; None frames the mesh
+    device : None chooses one
+    levels : light, visibility and their product live on 4**levels directions
+    rays : levels of the visibility grid; None takes `levels`, or what the bake has
+    error : relative error that the cuts may cost; 0 takes every sample (exact, slow)
+    smooth : replace normals by vertex normals averaged over the faces
+
+    Attributes
+    ----------
+    last : Work, what the last view recomputed and how long that took
+
+    Examples
+    --------
+    >>> session = Session("bunny.ply", "sky.exr", "ggx:alpha=0.3,f0=0.04,kd=0.5")  # doctest: +SKIP
+    >>> session.material = "ggx:alpha=0.1,eta=0.2,k=3.0"  # doctest: +SKIP
+    >>> session.view(eye=(1.0, 0.5, 3.0)).save("gold.exr")  # doctest: +SKIP
+    """
+
+    def __init__(
+        self,
+        mesh: Mesh | Bake | Path,
+        light: Environment | Path | npt.NDArray[Any],
+        material: str | Material | Sequence[str | Material] | None = None,
+        camera: Camera | None = None,
+        *,
+        device: Device | None = None,
+        levels: int = 6,
+        rays: int | None = None,
+        error: float = ERROR,
+        smooth: bool = False,
+    ) -> None:
+        if not isinstance(mesh, Mesh | Bake):
+            mesh = Bake.load(mesh) if os.fspath(mesh).lower().endswith(".npz") else read_mesh(mesh)
+        bake = mesh if isinstance(mesh, Bake) else None
+        mesh = mesh.mesh if isinstance(mesh, Bake) else mesh
+        if bake is not None and rays not in (None, bake.rays):
+            raise InputError(
+                f"rays: the bake has {bake.rays} levels, got {rays}; bake again with --rays {rays}"
+            )
+        self.mesh = mesh.smooth() if smooth or mesh.normals is None else mesh
+        self.device = device or Device()
+        self.camera = camera or Camera.framing(self.mesh.bounds)
+        self.notes = list(self.mesh.notes)
+        self.last = Work()
+        self._pending = Work()
+        self._seen: OrderedDict[tuple[Camera, int], _Seen] = OrderedDict()
+        self._snapshots: dict[str, tuple[Material, ...]] = {}
+        self._past: list[tuple[Material, ...]] = []
+        self._future: list[tuple[Material, ...]] = []
+        self._dress: Dress | None = None
+        self.tracer = Tracer(self.mesh.vertices, self.mesh.faces)
+        rays = (levels if rays is None else rays) if bake is None else bake.rays
+        self._relit = Relit(
+            self.device, self.tracer, self.mesh.vertices, vertex_points(self.mesh, self.tracer),
+            max(levels, rays) if bake is not None else levels, rays, None if bake is None else bake.bits,
+        )  # fmt: skip
+        self._materials = self._for_parts(material)
+        self.error = error
+        self.light = light
+
+    # --- what changes ---------------------------------------------------------------------------------------
+
+    @property
+    def light(self) -> Environment:
+        """The environment. Assigning one (or a path, or an array) collapses L ⊕ V anew, of what is then seen."""
+        return self._light
+
+    @light.setter
+    def light(self, light: Environment | Path | npt.NDArray[Any]) -> None:
+        environment, notes = read_environment(light)
+        self.notes += notes
+        with self._timed("light", self._pending):
+            self._relit.set_light(environment)
+        self._light, self._dress = environment, None
+
+    def rotate_light(self, degrees: float) -> None:
+        """Turn the light about its up axis to `degrees`, counter-clockwise seen from above."""
+        self.light = replace(self._light, rotate=degrees)
+
+    @property
+    def materials(self) -> tuple[Material, ...]:
+        """One material a part of the mesh."""
+        return self._materials
+
+    @property
+    def material(self) -> Material:
+        """The first part's material. Assigning a SPEC or `Material` dresses all parts in it, a list each part."""
+        return self._materials[0]
+
+    @material.setter
+    def material(self, material: str | Material | Sequence[str | Material]) -> None:
+        self._change(self._for_parts(material))
+
+    def set_material(self, part: int, material: str | Material) -> None:
+        """Dress one part of the mesh."""
+        if not 0 <= part < len(self._materials):
+            raise InputError(f"part: expected 0 to {len(self._materials) - 1}, got {part}")
+        new = list(self._materials)
+        new[part] = Material.parse(material)
+        self._change(tuple(new))
+
+    def undo(self) -> bool:
+        """Take back the last change of materials; False where there is none."""
+        return self._step(self._past, self._future)
+
+    def redo(self) -> bool:
+        """Do again what `undo` took back; False where there is nothing."""
+        return self._step(self._future, self._past)
+
+    def snapshot(self, name: str) -> None:
+        """Keep the materials as they are now under a name."""
+        self._snapshots[name] = self._materials
+
+    def restore(self, name: str) -> None:
+        """Go back to a snapshot; `undo` takes it back."""
+        if name not in self._snapshots:
+            there = ", ".join(self._snapshots) or "none"
+            raise InputError(f"snapshot: no {name!r} was taken; there are: {there}")
+        self._change(self._snapshots[name])
+
+    @property
+    def snapshots(self) -> tuple[str, ...]:
+        """Names of the snapshots taken."""
+        return tuple(self._snapshots)
+
+    @property
+    def error(self) -> float:
+        """Relative error that the cuts may cost; 0 is exact."""
+        return self._error
+
+    @error.setter
+    def error(self, error: float) -> None:
+        if not 0.0 <= error < 1.0:
+            raise InputError(f"error: expected from 0 to 1, got {error}")
+        self._error, self._dress = float(error), None
+
+    # --- what is seen ---------------------------------------------------------------------------------------
+
+    def view(
+        self, camera: Camera | None = None, *, eye: Triple | None = None, samples: int = 1,
+        progress: Progress | None = None,
+    ) -> Render:  # fmt: skip
+        """The image from a camera: of all vertices only what it sees is computed.
+
+        Parameters
+        ----------
+        camera : becomes the session's; None keeps that
+        eye : moves the camera, its target kept
+        samples : N × N sub-pixel points a pixel
+        progress : called with numbers of vertices traced, from worker threads
+
+        Returns
+        -------
+        render : its report has `seconds` and `points` as `last` has them, and `expected_error` of the cuts
+        """
+        if not 1 <= samples <= 16:
+            raise InputError(f"samples: expected 1 to 16 points along a pixel's side, got {samples}")
+        self.camera = camera or self.camera
+        if eye is not None:
+            self.camera = replace(self.camera, eye=eye)
+        work = self._begin()
+        seen = self._look(samples, work)
+        values = np.zeros((len(self.mesh.vertices), 3), dtype=np.float32)
+        values[seen.vertices] = self._shade(seen.vertices, self.camera.eye, work, progress)
+        with self._timed("image", work):
+            image = _develop(seen, values, self.camera.size)
+        self.last, settings = work, self._relit.settings
+        report = {
+            "device": self.device.name,
+            "materials": [m.spec for m in self._materials],
+            "settings": {"levels": settings.levels, "rays": settings.rays, "error": self._error},
+            "expected_error": self._dressed(work).error,
+            "seconds": dict(work.seconds),
+            "points": dict(work.points),
+            "notes": self.notes,
+        }  # fmt: skip
+        return Render(image, report)
+
+    def radiance(self, eye: Triple, vertices: npt.ArrayLike | None = None) -> npt.NDArray[np.float32]:
+        """Radiance of vertices towards an eye.
+
+        Parameters
+        ----------
+        vertices : (k,) indices; None is all
+
+        Returns
+        -------
+        radiance : (k, 3) linear RGB; 0 where the eye is below a vertex's horizon
+        """
+        count = len(self.mesh.vertices)
+        chosen = np.arange(count) if vertices is None else np.asarray(vertices).ravel()
+        if chosen.size and (chosen.min() < 0 or chosen.max() >= count):
+            raise InputError(f"vertices: expected indices from 0 to {count - 1}")
+        work = self._begin()
+        out = self._shade(chosen.astype(np.int32), eye, work, None)
+        self.last = work
+        return out
+
+    def _shade(
+        self, vertices: npt.NDArray[np.int32], eye: Triple, work: Work, progress: Progress | None
+    ) -> npt.NDArray[np.float32]:
+        relit = self._relit
+        stages: tuple[tuple[str, Callable[[], int]], ...] = (
+            ("visibility", lambda: relit.trace(vertices, progress)),
+            ("collapse", lambda: relit.collapse(vertices)),
+        )
+        for stage, run in stages:
+            start = time.perf_counter()
+            count = run()
+            if count:
+                work.seconds[stage], work.points[stage] = time.perf_counter() - start, count
+        dress = self._dressed(work)
+        with self._timed("shade", work):
+            work.points["shade"] = len(vertices)
+            return relit.radiance(dress, eye, vertices)
+
+    def _dressed(self, work: Work) -> Dress:
+        if self._dress is None:
+            with self._timed("cuts", work):
+                self._dress = self._relit.dress(list(self._materials), self._error)
+        return self._dress
+
+    def _look(self, samples: int, work: Work) -> _Seen:
+        """What the camera sees, kept for the last few cameras."""
+        key = (self.camera, samples)
+        if key not in self._seen:
+            with self._timed("camera_rays", work):
+                self._seen[key] = self._shoot(samples)
+            if len(self._seen) > KEPT_VIEWS:
+                self._seen.popitem(last=False)
+        self._seen.move_to_end(key)
+        return self._seen[key]
+
+    def _shoot(self, samples: int) -> _Seen:
+        width, height = self.camera.size
+        pixels = np.arange(width * height)
+        needed = np.zeros(len(self.mesh.vertices), dtype=np.bool_)
+        found = []
+        for sub in range(samples**2):
+            hits = shoot(self.tracer, self.camera, pixels, np.full_like(pixels, sub))
+            corners = self.mesh.faces[hits.face]
+            needed[corners.ravel()] = True
+            found.append((hits.ray, corners, hits.barycentric.astype(np.float32)))
+        return _Seen(found, np.flatnonzero(needed).astype(np.int32))
+
+    # --- materials and their history ------------------------------------------------------------------------
+
+    def _for_parts(self, material: str | Material | Sequence[str | Material] | None) -> tuple[Material, ...]:
+        parts = len(self.mesh.materials)
+        if material is None:
+            return tuple(own_materials(self.mesh))
+        if isinstance(material, str | Material):
+            return (Material.parse(material),) * parts
+        if len(material) != parts:
+            raise InputError(f"material: expected one, or {parts} for the mesh's parts, got {len(material)}")
+        return tuple(Material.parse(m) for m in material)
+
+    def _change(self, materials: tuple[Material, ...]) -> None:
+        self._past.append(self._materials)
+        del self._past[:-HISTORY]
+        self._future.clear()
+        self._materials, self._dress = materials, None
+
+    def _step(self, source: list[tuple[Material, ...]], target: list[tuple[Material, ...]]) -> bool:
+        if not source:
+            return False
+        target.append(self._materials)
+        self._materials, self._dress = source.pop(), None
+        return True
+
+    # --- time -----------------------------------------------------------------------------------------------
+
+    def _begin(self) -> Work:
+        work, self._pending = self._pending, Work()
+        return work
+
+    @contextmanager
+    def _timed(self, stage: str, work: Work) -> Iterator[None]:
+        start = time.perf_counter()
+        yield
+        work.seconds[stage] = work.seconds.get(stage, 0.0) + time.perf_counter() - start
+
+
+def _develop(seen: _Seen, values: npt.NDArray[np.float32], size: tuple[int, int]) -> npt.NDArray[np.float32]:
+    """Vertex radiance interpolated over the faces that each sub-pixel point hit, averaged: (h, w, 4)."""
+    width, height = size
+    image = np.zeros((width * height, 4), dtype=np.float32)
+    for pixels, corners, weights in seen.samples:
+        image[pixels, :3] += np.einsum("kc,kcx->kx", weights, values[corners])
+        image[pixels, 3] += 1.0
+    return (image / np.float32(len(seen.samples))).reshape(height, width, 4)

@@ -1,0 +1,167 @@
+"""Cuts of the quadtree: where f_v may be taken as constant, chosen from its Haar coefficients.
+
+A cut's leaves cover the hemisphere; over each leaf f_v is replaced by its value in the middle. What that leaves out is
+f_v's detail below the leaves, and since the inner product with L ⊕ V multiplies detail by detail, the error's variance
+is about
+
+    Σ over left-out squares of level r of  Σ_M f_M²  ·  w_r,      w_r = mean of (L ⊕ V)_M² over the points' squares
+
+relative to the mean radiance squared, for f_v and L ⊕ V scaled to a mean product of one. A square is split while
+what lies below it counts: the smallest cut whose sum stays below the square of the error asked for. Where a lobe
+peaks leaves are samples; far from it they are large.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from prtcl import quadtree
+from prtcl.compute.device import Device
+from prtcl.factors import hemisphere
+from prtcl.factors.material import Material
+from prtcl.factors.slices import Materials
+
+SIDE = 32
+"""View bins along the side of the square of views; each is 4.5 degrees wide."""
+SAFETY = 3.0
+"""True error over the square root of the sum above: f_v's and the light's details are not independent, and a leaf's
+middle stands for its mean. bench/editing.py shows both."""
+STEPS = 4
+"""Cuts are made for lobe widths in steps of 2^(1/4), the next sharper one: an edit within a step finds its cut made."""
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Cut:
+    """Leaves for every canonical view bin.
+
+    Attributes
+    ----------
+    leaves : (any,) int32 squares, all bins one after another
+    starts : (bins + 1,) int32
+    error : the error expected, relative to the mean radiance, root mean square over bins
+    """
+
+    leaves: npt.NDArray[np.int32]
+    starts: npt.NDArray[np.int32]
+    error: float
+
+
+def bins(side: int = SIDE) -> Array:
+    """Views of the canonical bins, x ≥ y ≥ 0: (bins, 5, 3), the middle first, then near the corners."""
+    half = side // 2
+    row, column = np.tril_indices(half)
+    out = []
+    for da, db in ((0.5, 0.5), (0.02, 0.02), (0.98, 0.02), (0.02, 0.98), (0.98, 0.98)):
+        a, b = (row + da) / half, (column + db) / half
+        out.append(hemisphere.from_square((a + 1) / 2, (b + 1) / 2))
+    return np.stack(out, axis=1)
+
+
+def stand_ins(material: Material) -> tuple[Material, ...]:
+    """Materials whose cuts serve `material`: its lobe's width in steps, with and without what else there is.
+
+    Colours do not matter, and how lobe and base are mixed need not: the cut holds for both. So an edit of a colour or
+    an index finds the cut it had.
+    """
+    if material.kind == "lambert":
+        return (Material.parse("lambert:albedo=0.5"),)
+    if material.kind == "table":
+        return (material,)
+    based = any(np.ravel(material.numbers.get("kd", 0.0)) > 0)
+    if material.kind == "blinn":
+        exponent = 2.0 ** (math.ceil(STEPS * math.log2(max(1.0, material.numbers["exponent"]))) / STEPS)
+        texts = [f"blinn:exponent={min(1e5, exponent):.6g},ks=0.5"]
+        texts += [texts[0] + ",kd=0.3"] if based else []
+    else:
+        alpha = 2.0 ** (math.floor(STEPS * math.log2(material.numbers["alpha"])) / STEPS)
+        texts = [f"ggx:alpha={max(1e-3, alpha):.6g},f0=0.8"]
+        texts += [f"ggx:alpha={max(1e-3, alpha):.6g},f0=0.04,kd=0.5"] if based else []
+    return tuple(Material.parse(text) for text in texts)
+
+
+def build(
+    device: Device,
+    materials: tuple[Material, ...],
+    levels: int,
+    spread: Array,
+    error: float,
+    side: int = SIDE,
+) -> Cut:
+    """The smallest cuts that keep the expected error below `error` for each of some materials.
+
+    Parameters
+    ----------
+    levels : of the product
+    spread : (levels,) w_r as above
+    error : relative; the leaves' own midpoint error is in `SAFETY`
+    """
+    views = bins(side)
+    below = [np.zeros((len(views), quadtree.n_samples(r))) for r in range(levels)]
+    for material in materials:
+        energies = _below(device, material, views, levels, spread)
+        below = [np.maximum(a, b) for a, b in zip(below, energies, strict=True)]
+    allowed = (error / SAFETY) ** 2
+    low, high = np.full(len(views), -60.0), np.zeros(len(views))
+    for _ in range(16):
+        middle = (low + high) / 2
+        left_out = _split(below, np.exp(middle))[1]
+        low, high = np.where(left_out <= allowed, middle, low), np.where(left_out <= allowed, high, middle)
+    leaf, left_out = _split(below, np.exp(low))
+    bin_of, square = np.nonzero(leaf)
+    starts = np.searchsorted(bin_of, np.arange(len(views) + 1)).astype(np.int32)
+    return Cut(square.astype(np.int32), starts, SAFETY * float(np.sqrt(left_out.mean())))
+
+
+def whole(levels: int, side: int = SIDE) -> Cut:
+    """Every sample a leaf: the exact mode."""
+    count = len(bins(side))
+    samples = np.arange(quadtree.n_squares(levels), quadtree.n_squares(levels + 1), dtype=np.int32)
+    return Cut(np.tile(samples, count), np.arange(count + 1, dtype=np.int32) * samples.size, 0.0)
+
+
+def _below(device: Device, material: Material, views: Array, levels: int, spread: Array) -> list[Array]:
+    """Weighted detail in and below each square, the most over a bin's five views: (bins, 4**r) a level."""
+    packed = Materials(device, [material])
+    slices = packed.slices(views.reshape(-1, 3), levels, sub=0)[0]
+    coefficients = slices.get().mean(axis=1).reshape(*views.shape[:2], -1).astype(np.float64)
+    # f_v scaled to a sum of one over the samples: with it the mean product is the mean of L V.
+    total = np.maximum(coefficients[..., :1] * 2.0**levels, 1e-300)
+    detail = (coefficients / total) ** 2
+    out: list[Array] = []
+    finer = 0.0
+    for level in reversed(range(levels)):
+        count = quadtree.n_samples(level)
+        own = detail[..., count : 4 * count].reshape(*views.shape[:2], count, 3).sum(axis=3) * spread[level]
+        here = own + finer
+        out.append(here.max(axis=1))
+        finer = here.reshape(*views.shape[:2], count // 4, 4).sum(axis=3) if level else 0.0
+    return out[::-1]
+
+
+def _split(below: list[Array], threshold: Array) -> tuple[npt.NDArray[np.bool_], Array]:
+    """Leaves (bins, squares of all levels) where no more than `threshold` lies below, and the sum left out."""
+    count, levels = len(threshold), len(below)
+    leaf = np.zeros((count, quadtree.n_squares(levels + 1)), dtype=np.bool_)
+    left_out, alive = np.zeros(count), np.ones((count, 1), dtype=np.bool_)
+    for level in range(levels):
+        split = alive & (below[level] > threshold[:, None])
+        ends = alive & ~split
+        leaf[:, quadtree.n_squares(level) : quadtree.n_squares(level + 1)] = ends
+        left_out += (below[level] * ends).sum(axis=1)
+        alive = np.repeat(split, 4, axis=1)
+    leaf[:, quadtree.n_squares(levels) :] = alive
+    return leaf, left_out
+
+
+def leaf_directions(levels: int) -> npt.NDArray[np.float32]:
+    """Middle direction of every square of levels 0 … `levels`; w is its mean cosine times its solid angle, sr."""
+    out = np.concatenate([hemisphere.directions(level) for level in range(levels + 1)]).astype(np.float64)
+    for level in range(levels + 1):
+        out[quadtree.n_squares(level) : quadtree.n_squares(level + 1), 3] *= 2 * np.pi / 4**level
+    return out.astype(np.float32)

@@ -1,0 +1,164 @@
+"""An editing session: what each change recomputes, and that its images are those of a fresh one and of `Scene`."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from prtcl.apps.demo_scene import build
+from prtcl.compute.device import Device
+from prtcl.errors import InputError
+from prtcl.factors.environment import Environment
+from prtcl.factors.material import Material
+from prtcl.factors.sky import sun_sky
+from prtcl.scene.bake import Bake
+from prtcl.scene.camera import Camera
+from prtcl.scene.mesh import Mesh
+from prtcl.scene.scene import Scene
+from prtcl.scene.session import Session
+
+GOLD, PLASTER = "ggx:alpha=0.3,eta=0.2/0.4/1.3,k=3.4/2.3/1.8", "lambert:albedo=0.6/0.5/0.4"
+GLAZE = "ggx:alpha=0.1,f0=0.04,kd=0.1/0.4/0.2"
+SIZE = (40, 30)
+
+
+@pytest.fixture(scope="module")
+def mesh() -> Mesh:
+    """The demo's scene: five parts that shadow one another."""
+    return build()
+
+
+@pytest.fixture(scope="module")
+def sky() -> Environment:
+    return Environment(sun_sky(32, sun_elevation=40.0, sun_azimuth=130.0))
+
+
+CAMERA = Camera((3.1, 2.5, 5.4), (-0.1, 0.75, -0.3), fov=38.0, size=SIZE)
+
+
+def session(mesh: Mesh, sky: Environment, device: Device, **options) -> Session:  # type: ignore[no-untyped-def]
+    return Session(mesh, sky, PLASTER, CAMERA, device=device, levels=4, **options)
+
+
+def relative_rmse(a, b) -> float:  # type: ignore[no-untyped-def]
+    return float(np.sqrt(((a.astype(np.float64) - b) ** 2).mean()) / b.mean())
+
+
+def test_a_change_recomputes_what_it_must_and_no_more(mesh: Mesh, sky: Environment, device: Device) -> None:
+    own = session(mesh, sky, device)
+    own.view()
+    assert set(own.last.seconds) == {
+        "light",
+        "camera_rays",
+        "visibility",
+        "collapse",
+        "cuts",
+        "shade",
+        "image",
+    }
+    own.view()
+    assert set(own.last.seconds) == {"shade", "image"}
+    own.material = GOLD
+    own.view()
+    assert set(own.last.seconds) == {"cuts", "shade", "image"}
+    traced = own.last.points["shade"]
+    own.view(eye=(3.0, 2.6, 5.4))
+    assert "cuts" not in own.last.seconds
+    assert 0 < own.last.points["visibility"] < traced, "only vertices that came into sight"
+    own.rotate_light(25.0)
+    own.view()
+    assert set(own.last.seconds) == {"light", "collapse", "cuts", "shade", "image"}
+    assert own.last.points["collapse"] == own.last.points["shade"] < len(mesh.vertices)
+
+
+def test_edits_in_a_row_end_where_a_fresh_session_starts(
+    mesh: Mesh, sky: Environment, device: Device
+) -> None:
+    """A thousand of them; what is kept for them stays bounded."""
+    own, rng = session(mesh, sky, device), np.random.default_rng(0)
+    specs = [PLASTER, GOLD, GLAZE, "blinn:exponent=30,ks=0.4,kd=0.2"]
+    for step in range(1000):
+        kind = rng.integers(0, 20)
+        if kind == 0:
+            own.rotate_light(float(rng.integers(0, 8) * 45))
+        elif kind < 8:
+            own.set_material(int(rng.integers(0, 5)), specs[rng.integers(0, 4)])
+        elif kind < 10:
+            own.undo() if kind == 8 else own.redo()
+        else:
+            eye = tuple(np.array(CAMERA.eye) + rng.uniform(-0.3, 0.3, 3))
+            own.view(replace(CAMERA, eye=eye, size=(12, 9))) if step % 4 == 0 else None
+    last = own.view(CAMERA).image
+    fresh = Session(mesh, own.light, list(own.materials), CAMERA, device=device, levels=4)
+    assert (fresh.view().image == last).all()
+    assert len(own._seen) <= 4
+    assert len(own._relit._cuts) <= 8
+
+
+@pytest.mark.parametrize("spec", [PLASTER, GOLD])
+def test_its_images_are_those_of_a_scene(mesh: Mesh, sky: Environment, device: Device, spec: str) -> None:
+    """The same vertices, frames, rays and light; a scene's f_v comes from slices, the session's from cuts."""
+    bake = Bake.trace(mesh, 4)
+    first = Scene(bake, sky, spec, CAMERA, device=device, levels=4, keep=4, views=128).render(samples=1).image
+    own = Session(bake, sky, spec, CAMERA, device=device, levels=4, error=0.003)
+    second = own.view().image
+    assert (first[..., 3] == second[..., 3]).all()
+    inside = first[..., 3] > 0
+    assert relative_rmse(second[inside][:, :3], first[inside][:, :3]) < 0.005
+    own.error = 0.0
+    assert relative_rmse(own.view().image[inside][:, :3], first[inside][:, :3]) < 0.005
+
+
+def test_cuts_err_by_what_they_say(mesh: Mesh, sky: Environment, device: Device) -> None:
+    own = session(mesh, sky, device)
+    own.material = GOLD
+    own.error = 0.0
+    exact = own.view().image[..., :3]
+    leaves = []
+    for error in (0.05, 0.02, 0.005):
+        own.error = error
+        made = own.view()
+        assert made.report["expected_error"] <= error
+        assert relative_rmse(made.image[..., :3], exact) < error
+        leaves.append(len(own._dress.cuts[0].leaves))
+    assert leaves == sorted(leaves)
+    assert leaves[0] < leaves[-1]
+
+
+def test_undo_redo_and_snapshots(mesh: Mesh, sky: Environment, device: Device) -> None:
+    own = session(mesh, sky, device)
+    assert not own.undo()
+    own.snapshot("first")
+    own.material = GOLD
+    own.set_material(2, GLAZE)
+    assert own.undo()
+    assert [m.spec for m in own.materials] == [GOLD] * 5
+    assert own.redo()
+    assert own.materials[2].spec == GLAZE
+    assert not own.redo()
+    own.restore("first")
+    assert own.material.spec == PLASTER
+    assert own.snapshots == ("first",)
+    assert own.undo()
+    assert own.materials[2].spec == GLAZE
+    with pytest.raises(InputError, match="no 'second' was taken; there are: first"):
+        own.restore("second")
+
+
+def test_mistakes_are_named(mesh: Mesh, sky: Environment, device: Device) -> None:
+    own = session(mesh, sky, device)
+    with pytest.raises(InputError, match="part: expected 0 to 4, got 5"):
+        own.set_material(5, GOLD)
+    with pytest.raises(InputError, match="expected one, or 5"):
+        own.material = [GOLD, GOLD]
+    with pytest.raises(InputError, match="samples: expected 1 to 16"):
+        own.view(samples=0)
+    with pytest.raises(InputError, match="error: expected from 0 to 1"):
+        own.error = -0.1
+    with pytest.raises(InputError, match="vertices: expected indices"):
+        own.radiance(CAMERA.eye, [len(mesh.vertices)])
+    assert isinstance(own.material, Material)
+    with pytest.raises(InputError, match="rays: the bake has 2 levels, got 4"):
+        Session(Bake.trace(mesh, 2), sky, device=device, rays=4)
