@@ -13,12 +13,13 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from tolerances import assert_close
 
-from prtcl import reference
+from prtcl import quadtree, reference
 from prtcl.compute.device import Device
-from prtcl.errors import InputError
+from prtcl.errors import DeviceError, InputError
 from prtcl.factors import hemisphere, material
 from prtcl.factors.material import Material
-from prtcl.factors.slices import Materials, ViewTable, subsamples
+from prtcl.factors.slices import BLOCK, Materials, ViewTable, block_directions, subsamples
+from prtcl.factors.stored import SliceStore
 
 TABLE = material.from_table(
     np.random.default_rng(6).uniform(0.1, 1, (7, 5, 3)),
@@ -207,6 +208,143 @@ def test_sharper_lobes_take_more_subsamples() -> None:
     assert depth(0.001, 3) == 4
     assert depth(1.0, 7) == 1
     assert depth(0.1, 3) >= depth(0.1, 6)
+
+
+def albedo(alpha: float, view: NDArray[np.float64]) -> float:
+    """∫ f cos of GGX with f0 = 1 in float64: over half-vectors, stratified by the density D cos, 400 × 256 of them.
+
+    With dω_i = 4 (o·h) dω_h what is left of f cos is G1(i) G1(o) (o·h) / (cos_o cos_h), smooth however sharp the lobe.
+    """
+    u, phi = (np.arange(400) + 0.5)[:, None] / 400, (np.arange(256) + 0.5) * 2 * np.pi / 256
+    cos_h = 1 / np.sqrt(1 + alpha**2 * u / (1 - u))
+    sin_h = np.sqrt(1 - cos_h**2)
+    h = np.stack([sin_h * np.cos(phi), sin_h * np.sin(phi), cos_h + 0 * phi], axis=-1)
+    along = h @ view
+    incident = 2 * along * h[..., 2] - view[2]  # its cosine
+    seen = (along > 0) & (incident > 0)
+
+    def smith(cosine: NDArray[np.float64]) -> NDArray[np.float64]:
+        return 2 / (1 + np.sqrt(1 + alpha**2 * (1 / cosine**2 - 1)))
+
+    shadowing = smith(np.where(seen, incident, 1.0)) * smith(view[2])
+    return float(np.where(seen, shadowing * along / (view[2] * cos_h), 0.0).mean())
+
+
+@pytest.mark.parametrize("colour", ["f0=1", "f0=1/1/1,kd=0/0/0.1"])
+def test_the_sharpest_lobe_reflects_its_albedo(device: Device, colour: str) -> None:
+    """Within 1 % at views up to 75 degrees, whichever way the frame is turned: cells lie otherwise under the lobe."""
+    theta = np.radians([0, 0.05, 5, 20, 37.3, 40, 60, 61.9, 70, 75] * 2)
+    turn = np.where(np.arange(20) < 10, 0.0, np.random.default_rng(2).uniform(0, 2 * np.pi, 20))
+    views = sphere(np.cos(theta), turn)
+    materials = Materials(device, [MATERIALS[0], Material.parse(f"ggx:alpha=0.001,{colour}")])
+    with guard_bands(device):
+        got = materials.slices(views, 7).get()[1, :, 0, 0].astype(np.float64) / 2**7 * 2 * np.pi
+    expected = np.array([albedo(0.001, view) for view in views])
+    assert expected.min() > 0.99  # it loses nearly nothing below the horizon
+    assert_close(got, expected, 0.01 * expected)
+
+
+def test_albedo_by_half_vectors_is_that_by_directions() -> None:
+    view = np.array([0.6, 0.0, 0.8])
+    f = reference.slice_samples({"kind": "ggx", "alpha": 0.5, "f0": 1.0}, view, 4, 5)[:, 0]
+    assert_close(albedo(0.5, view), f.mean() * 2 * np.pi, 1e-3)
+
+
+@pytest.mark.parametrize("block", [0, 1, 6, 15])
+def test_block_directions_are_some_of_all(block: int) -> None:
+    levels, finest = 2 + BLOCK, 7
+    each = quadtree.n_samples(finest - levels + BLOCK)
+    every = hemisphere.directions(finest)[block * each : (block + 1) * each]
+    assert (block_directions(levels, finest, block) == every).all()
+
+
+def test_slices_of_one_material_are_the_same_bits(device: Device) -> None:
+    """Of a sharp one as well, whose views are refined in blocks and runs."""
+    theta = np.linspace(0, 1.3, 7)
+    views = np.stack([np.sin(theta), 0 * theta, np.cos(theta)], axis=1)
+    materials = Materials(device, [MATERIALS[1], Material.parse("ggx:alpha=0.001,f0=0.9/0.6/0.2")])
+    for levels in (3, 7):
+        every = materials.slices(views, levels).get()
+        for index in (0, 1):
+            with guard_bands(device):
+                assert (materials.slices_of(index, views, levels).get() == every[index]).all()
+                assert (materials.slices_of(index, views[4:], levels).get() == every[index, 4:]).all()
+
+
+# --- slices made when they are needed -----------------------------------------------------------------------
+
+
+class Store(SliceStore):
+    """A store of small slices that remembers what it made."""
+
+    def __init__(self, device: Device, capacity: int, polar: bool = True) -> None:
+        materials = Materials(device, [MATERIALS[1], MATERIALS[9], MATERIALS[5]])
+        table = ViewTable.make(polar, 9)
+        super().__init__(device, materials, table, 2, capacity * 3 * 16 * 4)
+        self.every = materials.slices(table.views, 2).get().reshape(-1, 3, 16)
+        self.made: list[int] = []
+
+    def _make(self, index: int, keys: NDArray[np.int64]) -> None:
+        self.made += keys.tolist()
+        super()._make(index, keys)
+
+
+@given(seed=st.integers(0, 2**31), capacity=st.integers(4, 30), polar=st.booleans())
+def test_stored_slices_are_those_of_the_materials(
+    device: Device, seed: int, capacity: int, polar: bool
+) -> None:
+    """However few fit: bit for bit, in parts that cover all points once."""
+    store = Store(device, capacity, polar)
+    rng = np.random.default_rng(seed)
+    for count in (1, 40, 7):
+        phi = np.zeros(count) if polar else rng.uniform(0, 6, count)
+        nodes, _ = store.table.locate(sphere(rng.uniform(0.001, 1, count), phi))
+        keys = store.keys(rng.integers(0, 3, count), nodes)
+        done = []
+        for part in store.parts(keys, 16):
+            assert 0 < len(part) <= 16
+            array, index = store.take(keys[part])
+            assert array.shape[0] <= capacity
+            assert (array.get()[index] == store.every[keys[part]]).all()
+            done += part.tolist()
+        assert sorted(done) == list(range(count))
+
+
+def test_a_slice_is_made_once_and_only_if_it_is_wanted(device: Device) -> None:
+    store = Store(device, 27)
+    assert not store.made
+    keys = store.keys(np.array([0, 2, 2]), np.array([[1, 2], [7, 8], [1, 2]]))
+    device.profile.reset()
+    with guard_bands(device):
+        for part in store.parts(keys, 2):
+            store.take(keys[part])
+        # Their transforms too: haar_forward is the points' own, of which the report gives so many a second.
+        assert set(device.profile.device_seconds()) == {"brdf_slices"}
+        assert sorted(store.made) == [1, 2, 19, 20, 25, 26]
+        store.take(store.keys(np.array([0, 1]), np.array([[2, 3], [0, 1]])))
+        assert store.made[6:] == [3, 9, 10]
+        array, index = store.take(keys)
+    assert len(store.made) == 9 and (array.get()[index] == store.every[keys]).all()
+
+
+def test_a_store_that_is_too_small_makes_hardly_any_slice_twice(device: Device) -> None:
+    """Points in random order, of 27 slices of which 8 fit."""
+    store = Store(device, 8)
+    rng = np.random.default_rng(3)
+    nodes = rng.integers(0, 8, 500)
+    keys = store.keys(rng.integers(0, 3, 500), np.stack([nodes, nodes + 1], axis=1))
+    for part in store.parts(keys, 100):
+        store.take(keys[part])
+    assert set(store.made) == set(range(27)) and len(store.made) < 2 * 27
+
+
+def test_a_point_whose_slices_do_not_fit_is_refused(device: Device) -> None:
+    store = Store(device, 1)
+    keys = store.keys(np.array([0]), np.array([[0, 1]]))
+    with pytest.raises(
+        DeviceError, match="the 2 slices of one point need 384 bytes in one buffer, of which 1 fit"
+    ):
+        list(store.parts(keys, 5))
 
 
 def test_no_materials_are_refused(device: Device) -> None:

@@ -7,6 +7,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -14,6 +15,7 @@ from typing import Any
 import cases
 import numpy as np
 import pytest
+from guard import guard_bands
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -22,12 +24,13 @@ from prtcl.compute import choice, chunks, source, vendors
 from prtcl.compute.choice import Seen
 from prtcl.compute.defines import Defines
 from prtcl.compute.device import Device
+from prtcl.compute.source import kernel_folder
 from prtcl.errors import DeviceError, InputError, KernelBuildError, PrtclError
 from prtcl.factors.environment import Environment
 from prtcl.factors.material import Material
 from prtcl.factors.visibility import Tracer
 from prtcl.transport.pipeline import Pipeline, Points
-from prtcl.transport.settings import Settings
+from prtcl.transport.settings import Settings, choose
 
 
 def fake(spec: str, platform: str, name: str, kind: str) -> Seen:
@@ -449,6 +452,51 @@ def test_launch_of_nothing_is_nothing(device: Device) -> None:
     assert device.launch(kernel, 5, 64, y=0) is None
 
 
+@pytest.mark.parametrize("method", ["pixel", "tree"])
+def test_a_launch_of_more_rows_than_a_device_takes_goes_in_several(
+    device: Device, monkeypatch: pytest.MonkeyPatch, method: str
+) -> None:
+    """Everything from rays to radiance: each kernel finds its row, and no bit changes."""
+    tracer, points = quad_and_points(67)
+    settings = Settings(levels=3, rays=3, keep=3, views=9, method=method)
+    materials = [Material.parse("lambert:albedo=0.5/0.4/0.3"), Material.parse("ggx:alpha=0.3,f0=0.1")]
+    image = np.exp(np.random.default_rng(1).normal(size=(16, 32, 3))).astype(np.float32)
+    rows: list[int] = []
+    add = device.profile.add
+
+    def watch(stage: str, event: Any) -> None:
+        rows.append(1)
+        add(stage, event)
+
+    def run() -> Any:
+        rows.clear()
+        return Pipeline(device, Environment(image), materials, settings).radiance(tracer, points)
+
+    monkeypatch.setattr(device.profile, "add", watch)
+    whole, launches = run(), len(rows)
+    monkeypatch.setattr(device_module, "MAX_ROWS", 10)
+    assert (run() == whole).all()
+    assert len(rows) > launches + 6
+
+
+def test_no_kernel_asks_for_its_group_in_y() -> None:
+    """Launches in pieces have a global offset; group numbers start at zero in each."""
+    for path in kernel_folder().glob("*.cl*"):
+        assert "get_group_id(1)" not in path.read_text(encoding="utf-8"), path.name
+
+
+def test_paste_puts_rows_where_they_belong(device: Device) -> None:
+    with guard_bands(device):
+        target = device.array(np.zeros((6, 8)))
+        source = device.array(np.arange(12.0).reshape(4, 3) + 1)
+        device.paste(source[1:3], target, 3, 5)
+        device.paste(source[:0], target, 0)
+        device.paste(device.array(np.full((1, 8), 7.0)), target, 1)
+    expected = np.zeros((6, 8))
+    expected[3:5, 5:], expected[1] = [[4, 5, 6], [7, 8, 9]], 7
+    assert (target.get() == expected).all()
+
+
 def test_profile_counts_stages(device: Device) -> None:
     device.profile.reset()
     from prtcl.wavelet import haar
@@ -457,9 +505,14 @@ def test_profile_counts_stages(device: Device) -> None:
     with device.profile.host("waiting"):
         pass
     device.profile.per_point("bits", 4)
+    device.profile.per_point("bits", 2)  # the largest holds: of several pipelines, that is
     seconds = device.profile.device_seconds()
     assert set(seconds) == {"haar_forward"}
     assert seconds["haar_forward"] >= 0
+    with device.profile.under("making"):
+        haar.forward(device, device.array(np.ones((3, 16))))
+    again = device.profile.device_seconds()
+    assert again["haar_forward"] == seconds["haar_forward"] and set(again) == {"haar_forward", "making"}
     assert set(device.profile.host_seconds()) == {"waiting"}
     assert device.profile.bytes_per_point() == {"bits": 4}
     device.profile.reset()
@@ -491,6 +544,12 @@ def test_chunks_fit_memory_and_the_largest_buffer() -> None:
 def test_a_point_that_does_not_fit(memory: int, largest: int, budget: int | None) -> None:
     with pytest.raises(DeviceError, match=r"Tiny: one point needs 100 bytes \(60 in one buffer\)"):
         chunks.chunk_size(tiny(memory, largest), 100, 60, budget)
+
+
+def test_caches_leave_room_to_grow() -> None:
+    assert chunks.cache_bytes(tiny(8000, 10**9)) == 1000
+    assert chunks.cache_bytes(tiny(8000, 10**9), 3) == 333
+    assert chunks.cache_bytes(tiny(10**9, 160)) == 140
 
 
 @given(count=st.integers(0, 200), size=st.integers(1, 250))
@@ -536,6 +595,43 @@ def test_radiance_does_not_depend_on_the_chunks(device: Device, method: str) -> 
         assert (run(count * per_point)[0] == whole).all()
     with pytest.raises(DeviceError, match="one point needs"):
         run(per_point - 1)
+
+
+@pytest.mark.parametrize("polar", [True, False])
+def test_radiance_does_not_depend_on_how_many_slices_fit(device: Device, polar: bool) -> None:
+    """Materials whose slices exceed a buffer take more chunks; 4 slices are what a point of a square table needs."""
+    tracer, points = quad_and_points(67)
+    image = np.exp(np.random.default_rng(1).normal(size=(16, 32, 3))).astype(np.float32)
+    materials = [Material.parse(f"ggx:alpha={0.2 + 0.1 * i},f0=0.1/0.2/0.3") for i in range(2)]
+    settings = Settings(levels=4, rays=3, keep=4, views=9)
+
+    def run(slices: int | None) -> Any:
+        size = None if slices is None else slices * 3 * 4**4 * 4
+        pipeline = Pipeline(device, Environment(image), materials, settings, polar=polar, slice_bytes=size)
+        bits = pipeline.visibility(tracer, points)
+        return pipeline.soft(tracer, points), pipeline.soft(tracer, points, bits)
+
+    whole, _ = run(None)
+    assert whole.min() > 0
+    for slices in (4, 5, 11):
+        assert all((one == whole).all() for one in run(slices))
+    with pytest.raises(DeviceError, match="slices of one point need"):
+        run(1)
+
+
+def test_a_pipeline_makes_no_slice_before_a_point_needs_it(device: Device) -> None:
+    """Two of 512 views of a mirror whose slices cost a second of a core for every ten or so."""
+    tracer, points = quad_and_points(5)
+    points = replace(
+        points, views=np.broadcast_to(np.float32([0.6, 0, 0.8]), (5, 3)), material=0 * points.material
+    )
+    device.profile.reset()
+    material = Material.parse("ggx:alpha=0.003,f0=1")
+    pipeline = Pipeline(device, Environment.constant(), [material] * 48, choose(material)[0])
+    assert "brdf_slices" not in device.profile.device_seconds()
+    pipeline.radiance(tracer, points)
+    array, _ = pipeline.slices.take(np.empty((0, 2), np.int64))
+    assert array.shape[0] == 2
 
 
 def test_radiance_from_given_bits_is_that_of_traced_ones(device: Device) -> None:

@@ -285,6 +285,22 @@ def test_light_visibility(count: int) -> None:
         assert 0 < seen.mean() < 1
 
 
+def test_rays_are_counted_where_they_are_traced(monkeypatch: pytest.MonkeyPatch) -> None:
+    """From all threads; directions below the horizon are no rays, nor are those of the camera counted."""
+    monkeypatch.setattr(module, "RAYS_PER_TASK", 64)
+    tracer = Tracer(*sphere_mesh(1))
+    normals = np.tile([[0.0, 0.0, 1.0]], (200, 1))
+    origins = tracer.origins(2 * normals, normals)
+    assert tracer.rays == 0
+    tracer.visibility(origins, frame_over(normals[0]).repeat(200, axis=0), 2)
+    assert tracer.rays == 200 * 16
+    up, down = [0.0, 0.0, 1.0], [0.6, 0.0, -0.8]
+    tracer.light_visibility(origins, normals, np.array([up, down, up]))
+    assert tracer.rays == 200 * 18
+    tracer.intersect(3 * normals, -normals)
+    assert tracer.rays == 200 * 18
+
+
 def test_no_lights_and_no_points() -> None:
     tracer = Tracer(QUAD, QUAD_FACES)
     nobody, someone = np.zeros((0, 3), np.float32), np.zeros((2, 3), np.float32)

@@ -35,6 +35,15 @@ def chunk_size(device: Device, total_bytes: int, largest_bytes: int, budget: int
     return int(points)
 
 
+def cache_bytes(device: Device, share: int = 1) -> int:
+    """Bytes that each of `share` caches may keep on the device, in one buffer.
+
+    An eighth of its memory for all: while a cache grows, old and new are there at once. An eighth of the largest
+    buffer is left free, since the pool rounds sizes up, by a sixteenth at most.
+    """
+    return min(device.memory // 8, device.max_allocation - device.max_allocation // 8) // share
+
+
 def chunks(count: int, size: int) -> Iterator[slice]:
     """Slices of at most `size` that cover ``range(count)``."""
     for start in range(0, count, size):

@@ -151,6 +151,24 @@ class Device:
             self._constants[key] = self.array(make())
         return self._constants[key]
 
+    def paste(self, source: Any, target: Any, row: int, column: int = 0, *, stage: str = "copies") -> None:
+        """Copy `source` (n, w) to ``target[row : row + n, column : column + w]``, device arrays of two axes.
+
+        `source` may be some rows of a larger array of the same width.
+        """
+        import pyopencl as cl
+
+        if not source.size:
+            return
+        item = source.dtype.itemsize
+        width, pitch = source.shape[1] * item, target.shape[1] * item
+        event = cl.enqueue_copy(
+            self.queue, target.data, source.base_data, src_origin=(0, source.offset // width, 0),
+            dst_origin=(column * item, row, 0), region=(width, source.shape[0], 1), src_pitches=(width, 0),
+            dst_pitches=(pitch, 0),
+        )  # fmt: skip
+        self.profile.add(stage, event)
+
     # --- programs -------------------------------------------------------------------------------------------
 
     def kernels(self, file: str, **defines: int | float | str) -> dict[str, Any]:

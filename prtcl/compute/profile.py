@@ -20,11 +20,12 @@ class Profile:
         self._device: defaultdict[str, float] = defaultdict(float)
         self._host: defaultdict[str, float] = defaultdict(float)
         self._bytes: dict[str, int] = {}
+        self._under: str | None = None
 
     def add(self, stage: str, event: Any) -> None:
         """Note an event; its time is read once it is done."""
         if self.enabled and event is not None:
-            self._pending.append((stage, event))
+            self._pending.append((self._under or stage, event))
             if len(self._pending) >= self._BATCH:
                 self._collect()
 
@@ -36,6 +37,15 @@ class Profile:
             yield
         finally:
             self._host[stage] += time.perf_counter() - start
+
+    @contextmanager
+    def under(self, stage: str) -> Iterator[None]:
+        """Count a block's device time to one stage, such as transforms that are none of the points' own."""
+        outer, self._under = self._under, stage
+        try:
+            yield
+        finally:
+            self._under = outer
 
     def per_point(self, stage: str, count: int) -> None:
         """State how many bytes a stage keeps for each point; of several statements the largest holds."""

@@ -54,7 +54,7 @@ def directions(levels: int, offset: tuple[float, float] = CENTRE) -> npt.NDArray
     side = 1 << levels
     out = np.zeros((rows.size, 4), dtype=np.float32)
     out[:, :3] = from_square((columns + offset[0]) / side, (rows + offset[1]) / side)
-    out[:, 3] = _mean_cosines(rows, columns, side)
+    out[:, 3] = mean_cosines(rows, columns, side)
     out.setflags(write=False)
     return out
 
@@ -84,10 +84,10 @@ def ray_weights(levels: int, grid: int) -> npt.NDArray[np.float32]:
     return out
 
 
-def _mean_cosines(
+def mean_cosines(
     rows: npt.NDArray[np.int64], columns: npt.NDArray[np.int64], side: int
 ) -> npt.NDArray[np.float64]:
-    """Mean of z = 1 − max(|a|, |b|)² over cells of width h = 2/side.
+    """Mean of z = 1 − max(|a|, |b|)² over cells of width h = 2/side, given by row and column: the shape of those.
 
     Away from the diagonals one coordinate is the larger one throughout: the mean of its square is that of the
     centre plus h²/12. On a diagonal, with a and b in [q, q + h], the mean of max² is q² + 4/3 q h + h²/2.

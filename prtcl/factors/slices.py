@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from prtcl import quadtree
 from prtcl.compute.device import Device
 from prtcl.errors import InputError
 from prtcl.factors import hemisphere
@@ -19,6 +20,13 @@ from prtcl.wavelet import haar
 GROUP = 64
 GRAZING = 1e-4
 """Cosine of the most grazing view a slice is made for; f_v has a limit there, but 0/0 at 0 itself."""
+SHARP = 0.0015
+"""Roughness below which four levels of subsamples miss the lobe: at levels = 7 the albedo of GGX α = 0.001 came out
+5 % high at normal incidence and 12 % low at 75 degrees (tests/test_brdf.py holds it to 1 %, as it is now)."""
+SHARP_LEVELS, SHARP_FROM = 13, 7
+"""Levels of the grid that the few cells about such a lobe are averaged over, in slices of at least `SHARP_FROM`."""
+BLOCK = 2
+"""Levels of the blocks in which that is done: 4 × 4 cells, one run of the slice."""
 
 
 class Materials:
@@ -53,33 +61,74 @@ class Materials:
         levels : of the coefficients; each cell is averaged over 4**sub directions
         sub : None takes what the material's sharpness needs (`subsamples`)
         """
+        count = len(np.atleast_2d(views))
+        samples = self.device.empty((len(self.list), count, self.channels, 4**levels))
+        for index in range(len(self.list)):
+            self._average(index, views, levels, sub, samples, index * count)
+        return haar.forward(self.device, samples)
+
+    def slices_of(self, index: int, views: npt.ArrayLike, levels: int) -> Any:
+        """f_v of one material: what `slices` gives for it, (views, channels, 4**levels), bit for bit."""
+        samples = self.device.empty((len(np.atleast_2d(views)), self.channels, 4**levels))
+        self._average(index, views, levels, None, samples, 0)
+        return haar.forward(self.device, samples)
+
+    def _average(
+        self, index: int, views: npt.ArrayLike, levels: int, sub: int | None, samples: Any, first: int
+    ) -> None:
+        """f_v of a material, averaged over the cells, into slices `first`, `first` + 1, … of `samples`."""
         directions = np.zeros((len(np.atleast_2d(views)), 4))
         directions[:, :3] = views
         directions[:, 2] = np.maximum(directions[:, 2], GRAZING)
-        count, device = len(directions), self.device
-        samples = device.empty((len(self.list), count, self.channels, 4**levels))
-        towards = device.array(directions)
-        for index, material in enumerate(self.list):
-            depth = subsamples(material, levels) if sub is None else sub
-            kernel = device.kernels(
-                "brdf.cl", LEVELS=levels, SUB=depth, CHANNELS=self.channels, KINDS=self.mask, GROUP=GROUP
-            )["brdf_slices"]
-            cells = device.constant(
-                ("directions", levels + depth), partial(hemisphere.directions, levels + depth)
-            )
-            device.launch(
-                kernel,
-                4**levels,
-                GROUP,
-                *self.arguments,
-                index,
-                cells,
-                towards,
-                samples,
-                index * count,
-                y=count,
-            )
-        return haar.forward(device, samples)
+        material, device = self.list[index], self.device
+        depth = subsamples(material, levels) if sub is None else sub
+        cells = device.constant(
+            ("directions", levels + depth), partial(hemisphere.directions, levels + depth)
+        )
+        self._launch(index, levels, depth, cells, directions, samples, first)
+        if sub is None and material.roughness < SHARP and levels >= SHARP_FROM:
+            self._refine(index, directions, levels, samples, first)
+
+    def _launch(
+        self, index: int, levels: int, depth: int, cells: Any, directions: npt.NDArray[np.float64],
+        samples: Any, first: int,
+    ) -> None:  # fmt: skip
+        device = self.device
+        kernel = device.kernels(
+            "brdf.cl", LEVELS=levels, SUB=depth, CHANNELS=self.channels, KINDS=self.mask, GROUP=GROUP
+        )["brdf_slices"]
+        device.launch(
+            kernel, 4**levels, GROUP, *self.arguments, index, cells, device.array(directions), samples, first,
+            y=len(directions),
+        )  # fmt: skip
+
+    def _refine(
+        self, index: int, directions: npt.NDArray[np.float64], levels: int, samples: Any, first: int
+    ) -> None:
+        """Average the cells about each view's mirror direction once more, on a grid of `SHARP_LEVELS`.
+
+        Everywhere a grid so fine would take 4,096 evaluations a cell. A cell away from the peak the lobe varies over
+        ten times the width of the usual subsamples and more.
+        """
+        side = 1 << levels
+        row, column = (x * side for x in reversed(hemisphere.to_square(directions[:, :3] * [-1, -1, 1])))
+        morton = quadtree.grid_to_morton(levels - BLOCK)
+        pairs: set[tuple[int, int]] = set()
+        for r, c in ((r, c) for r in (-1, 1) for c in (-1, 1)):  # the blocks within a cell of the peak
+            at = [np.clip(x, 0, side - 1).astype(np.int64) >> BLOCK for x in (row + r, column + c)]
+            pairs.update(zip(morton[at[0], at[1]].tolist(), range(len(directions)), strict=True))
+        blocks, views = np.array(sorted(pairs)).T
+        rows = samples.reshape(-1, 4**levels)
+        for block in np.unique(blocks):
+            chosen = views[blocks == block]
+            cells = self.device.array(block_directions(levels, SHARP_LEVELS, int(block)))
+            averages = self.device.empty((len(chosen) * self.channels, 4**BLOCK))
+            self._launch(index, BLOCK, SHARP_LEVELS - levels, cells, directions[chosen], averages, 0)
+            ends = [*(np.flatnonzero(np.diff(chosen) > 1) + 1).tolist(), len(chosen)]
+            for start, end in zip([0, *ends[:-1]], ends, strict=True):  # runs of views that follow each other
+                run = averages[start * self.channels : end * self.channels]
+                at_row = (first + int(chosen[start])) * self.channels
+                self.device.paste(run, rows, at_row, int(block) << (2 * BLOCK), stage="brdf_slices")
 
     def evaluate(
         self, index: int, incident: npt.ArrayLike, outgoing: npt.ArrayLike
@@ -108,6 +157,25 @@ def subsamples(material: Material, levels: int) -> int:
     """
     cell = math.sqrt(2 * math.pi) / 2**levels
     return int(np.clip(math.ceil(math.log2(max(1.0, 4 * cell / (2.6 * material.roughness)))), 1, 4))
+
+
+def block_directions(levels: int, finest: int, block: int) -> npt.NDArray[np.float32]:
+    """`hemisphere.directions(finest)` of the `block`-th square of 4**BLOCK cells of 4**levels, without the others.
+
+    Returns
+    -------
+    directions : (4**(finest − levels + BLOCK), 4) float32
+    """
+    inside = finest - levels + BLOCK
+    row, column = (int(x[block]) << inside for x in quadtree.morton_to_grid(levels - BLOCK))
+    rows, columns = (
+        x + first for x, first in zip(quadtree.morton_to_grid(inside), (row, column), strict=True)
+    )
+    side = 1 << finest
+    out = np.empty((rows.size, 4), dtype=np.float32)
+    out[:, :3] = hemisphere.from_square((columns + 0.5) / side, (rows + 0.5) / side)
+    out[:, 3] = hemisphere.mean_cosines(rows, columns, side)
+    return out
 
 
 @dataclass(frozen=True, eq=False)

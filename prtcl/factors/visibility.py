@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 
@@ -48,6 +49,7 @@ class Tracer:
     ----------
     vertex_reach, face_reach : (n,), (m,) float64: how far float32 moves the surface there along its normal, in
         units of 2**-24 of the unit sphere, see `origins`
+    rays : int, how many `occluded` has traced so far, from all threads; camera rays are not among them
     """
 
     def __init__(self, vertices: npt.NDArray[np.float64], faces: npt.NDArray[np.int32]) -> None:
@@ -63,6 +65,8 @@ class Tracer:
         # Positions interpolated in world coordinates carry float64's rounding, which survey coordinates magnify.
         least = REACH[0] + 2.0**-27 * float(np.abs(self.centre).max()) / self.radius
         self.vertex_reach, self.face_reach = _reach(local, faces, least)
+        self.rays = 0
+        self._counting = threading.Lock()
 
     def _local(self, positions: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         return (np.asarray(positions, dtype=np.float64) - self.centre) / self.radius
@@ -93,6 +97,8 @@ class Tracer:
         hit = self._scene.run(
             np.ascontiguousarray(origins), np.ascontiguousarray(directions), query="OCCLUDED"
         )
+        with self._counting:
+            self.rays += len(origins)
         return np.asarray(hit >= 0)
 
     def intersect(

@@ -175,6 +175,7 @@ class Scene:
         self.device.profile.reset()
         check_eye(self.tracer, self.mesh, self.camera)
         vertex = points == "vertex" or self.bake is not None
+        rays = self.tracer.rays
         self.settings = self.choose_settings(vertex)
         pipeline = Pipelines(
             self.device,
@@ -190,7 +191,9 @@ class Scene:
             self._expose(layer, everything, 0, layer.first if samples is None else samples**2)
         if samples is None:
             self._refine(layers)
-        report = self._report(pipeline, layers, count, vertex, time.perf_counter() - start)
+            self._complete(layers)
+        rays = self.tracer.rays - rays
+        report = self._report(pipeline, layers, count, vertex, rays, time.perf_counter() - start)
         return Render(self._develop(layers), report)
 
     def _layers(self, pipeline: Pipelines, count: Counter, vertex: bool) -> list[Layer]:
@@ -233,17 +236,42 @@ class Scene:
                         self._expose(layer, behind, int(have), 4 * int(have))
                         have *= 4
 
+    def _complete(self, layers: list[Layer]) -> None:
+        """Points where a layer saw nothing of the mesh but the one with most points did: its colour would be missing.
+
+        Layers share their places in the pixel, so with as many points it sees the mesh too. Few of them do.
+        """
+        seen, most = self._coverage(layers), np.max([layer.film.points for layer in layers], axis=0)
+        for layer in layers:
+            film = layer.film
+            while (blind := np.flatnonzero((seen > 0) & (film.coverage() == 0) & (film.points < most))).size:
+                for have in np.unique(film.points[blind]):
+                    self._expose(layer, blind[film.points[blind] == have], int(have), 4 * int(have))
+
+    @staticmethod
+    def _coverage(layers: list[Layer]) -> npt.NDArray[np.float64]:
+        """(pixels,) the coverage that the layer with most points saw."""
+        most = np.argmax([layer.film.points for layer in layers], axis=0)
+        return np.stack([layer.film.coverage() for layer in layers])[most, np.arange(len(most))]
+
     @staticmethod
     def _covered(layers: list[Layer]) -> npt.NDArray[np.bool_]:
         return np.any([layer.film.coverage() > 0 for layer in layers], axis=0)
 
     def _develop(self, layers: list[Layer]) -> npt.NDArray[np.float32]:
-        """The layers' sum, with the coverage that most points saw."""
+        """The layers' sum, with the coverage that most points saw.
+
+        Each layer's mean over the points that saw the mesh, times that one coverage: with its own, which differs where
+        it has other points, colour and alpha would not belong together and silhouettes would get fringes.
+        """
         width, height = self.camera.size
         rgba = np.zeros((height * width, 4))
-        rgba[:, :3] = sum(layer.film.mean() for layer in layers)
-        most = np.argmax([layer.film.points for layer in layers], axis=0)
-        rgba[:, 3] = np.stack([layer.film.coverage() for layer in layers])[most, np.arange(len(rgba))]
+        rgba[:, 3] = self._coverage(layers)
+        for layer in layers:
+            own = layer.film.coverage()
+            # One where they agree, so that nothing is rounded then.
+            scale = np.divide(rgba[:, 3], own, out=np.zeros_like(own), where=own > 0)
+            rgba[:, :3] += layer.film.mean() * scale[:, None]
         return rgba.reshape(height, width, 4).astype(np.float32)
 
     def _expose(self, layer: Layer, pixels: npt.NDArray[np.int64], first: int, last: int) -> None:
@@ -258,7 +286,13 @@ class Scene:
             layer.film.add(some, first, last, hits.ray, layer.shader(hits, sub[hits.ray]))
 
     def _report(
-        self, pipeline: Pipelines, layers: list[Layer], count: Counter, vertex: bool, seconds: float
+        self,
+        pipeline: Pipelines,
+        layers: list[Layer],
+        count: Counter,
+        vertex: bool,
+        rays: int,
+        seconds: float,
     ) -> Report:
         device = pipeline.device
         stages = {**device.profile.device_seconds(), **device.profile.host_seconds()}
@@ -267,7 +301,7 @@ class Scene:
         variance = np.sum([layer.film.variance() for layer in layers], axis=0)
         error = np.sqrt(variance[covered].mean()) / mean[covered].mean() if mean.sum() > 0 else 0.0
         shaded = count.by_stage
-        # Which layer's points a stage works on; the rest of the soft light's stages take all of that layer's.
+        # Which layer's points a stage works on: each point goes through one pipeline, so all pipelines' are its sum.
         hard_stages = ("hard_light_rays", "shade_lights")
         main = shaded.get("vertex", shaded.get("soft", 0))
         return {
@@ -288,8 +322,7 @@ class Scene:
             },
             "points": "vertex" if vertex else "pixel",
             "points_shaded": shaded,
-            "rays": main * 4 ** max(own.rays for own, _ in self.settings)
-            + shaded.get("hard", main) * len(pipeline.light.hard),
+            "rays": rays,
             "points_per_pixel": [
                 float(l.film.points[covered].mean()) if covered.any() else 0.0 for l in layers
             ],

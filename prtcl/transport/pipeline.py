@@ -10,11 +10,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from prtcl.compute.chunks import chunk_size, chunks
+from prtcl.compute.chunks import cache_bytes, chunk_size, chunks
 from prtcl.compute.device import Device
 from prtcl.factors.environment import Environment, Light
 from prtcl.factors.material import Material
 from prtcl.factors.slices import Materials, ViewTable
+from prtcl.factors.stored import SliceStore
 from prtcl.factors.visibility import Progress, Tracer
 from prtcl.transport import collapse, shade
 from prtcl.transport.settings import Settings
@@ -65,11 +66,12 @@ class Pipeline:
     settings : resolutions
     polar : the kind of view table the points will need (`Points.polar`)
     budget : bytes of device memory a chunk may take; None chooses
+    slice_bytes : bytes of device memory the stored slices may take besides; None chooses
 
     Notes
     -----
     What the scene does not need is left out: one channel where light or material is grey, slices only for the
-    materials in use, no hard-light rays where there is no hard light, none below a point's horizon.
+    materials and views in use, no hard-light rays where there is no hard light, none below a point's horizon.
     """
 
     def __init__(
@@ -81,6 +83,7 @@ class Pipeline:
         *,
         polar: bool = True,
         budget: int | None = None,
+        slice_bytes: int | None = None,
     ) -> None:
         self.device, self.settings, self.budget = device, settings, budget
         with device.profile.host("split_light"):
@@ -90,8 +93,8 @@ class Pipeline:
         self.materials = Materials(device, materials)
         self.channels = 1 if self.light.grey else 3
         self.table = ViewTable.make(polar, settings.views)
-        slices = self.materials.slices(self.table.views, settings.keep)
-        self._slices = slices.reshape(-1, self.materials.channels, 4**settings.keep)
+        limit = cache_bytes(device) if slice_bytes is None else slice_bytes
+        self.slices = SliceStore(device, self.materials, self.table, settings.keep, limit)
         for stage, count in self.bytes_per_point().items():
             device.profile.per_point(stage, count)
 
@@ -127,16 +130,17 @@ class Pipeline:
         stages = self.bytes_per_point()
         size = chunk_size(self.device, sum(stages.values()), max(stages.values()), self.budget)
         out = np.empty((len(points), 3), dtype=self.device.dtype)
-        for part in chunks(len(points), size):
+        nodes, weight = self.table.locate(points.views)
+        keys = self.slices.keys(points.material, nodes)
+        for part in self.slices.parts(keys, size):
             some = points[part]
             seen = self.visibility(tracer, some, progress) if bits is None else bits[part]
             reduced = collapse.reduced_coefficients(
                 self.device, self.light, seen, some.frames, self.settings, self.channels, some.grid
             )
-            index, weight = self.table.locate(some.views)
-            index += some.material[:, None] * np.int32(len(self.table.views))
+            slices, index = self.slices.take(keys[part])
             radiance = shade.soft_radiance(
-                self.device, reduced, self._slices, index, weight, self.settings.levels
+                self.device, reduced, slices, index, weight[part], self.settings.levels
             )
             out[part] = self._fetch(radiance)
             if bits is not None and progress is not None:
@@ -211,12 +215,16 @@ class Pipelines:
         self.all: list[Pipeline] = []
         self._pipeline = np.zeros(len(materials), dtype=np.int32)
         self._index = np.zeros(len(materials), dtype=np.int32)
-        for number, chosen in enumerate(dict.fromkeys(settings)):
+        different = dict.fromkeys(settings)
+        share = cache_bytes(device, len(different))
+        for number, chosen in enumerate(different):
             members = [i for i, own in enumerate(settings) if own == chosen]
             self._pipeline[members] = number
             self._index[members] = np.arange(len(members))
             some = [materials[i] for i in members]
-            self.all.append(Pipeline(device, environment, some, chosen, polar=polar, budget=budget))
+            self.all.append(
+                Pipeline(device, environment, some, chosen, polar=polar, budget=budget, slice_bytes=share)
+            )
 
     @property
     def light(self) -> Light:
