@@ -19,6 +19,7 @@ from prtcl.compute.device import Device
 from prtcl.errors import InputError
 from prtcl.factors import environment, hardlight, hemisphere
 from prtcl.factors.environment import Environment
+from prtcl.factors.sequence import shuffled, stratified
 
 SUB = getattr(environment, "SUB", 1)
 """Levels of subsamples that the gather takes in a cell."""
@@ -374,6 +375,22 @@ def test_cell_offsets_move_the_sample_inside_its_cell() -> None:
     assert len(np.unique((offsets * 4).astype(int), axis=0)) == 16  # every sixteenth of the cell is visited
     moved = hemisphere.directions(4, hemisphere.cell_offset(3))
     assert_close(moved[:, :3], reference.directions(4, hemisphere.cell_offset(3)), 2.0**-24)
+
+
+def test_places_in_pixel_and_cell_move_apart() -> None:
+    # Aligned runs of 2**k numbers go to such runs, the first to itself: cell places are as even as pixel places.
+    order = np.array([shuffled(i) for i in range(1024)])
+    for k in range(11):
+        runs = np.sort(order.reshape(-1, 1 << k), axis=1)
+        assert (np.diff(runs, axis=1) == 1).all() and (runs[:, 0] % (1 << k) == 0).all()
+        assert runs[0, 0] == 0
+    # Sub-pixel place and cell place together: 256 numbers are near to independent in their four dimensions. Without
+    # the shuffle they correlate fully, and fill 16 of the 256 boxes of a 4 x 4 x 4 x 4 grid.
+    pixel = np.stack(stratified(np.arange(256)), axis=1)
+    cell = np.array([hemisphere.cell_offset(i) for i in range(256)])
+    boxes = np.unique(np.floor(4 * np.concatenate([pixel, cell], axis=1)), axis=0)
+    assert len(boxes) > 100
+    assert np.abs(np.corrcoef(pixel.T, cell.T)[:2, 2:]).max() < 4 / np.sqrt(256)
 
 
 @given(seed=st.integers(0, 2**31))

@@ -29,3 +29,26 @@ def stratified(index: npt.ArrayLike) -> tuple[npt.NDArray[np.float64], npt.NDArr
     # tenth of a stratum of its centre, for 1, 4, 16, 64 and 256 points alike.
     centre = np.uint32(0x66666666)
     return (x ^ centre) / 2.0**32, (y ^ centre) / 2.0**32
+
+
+def shuffled(index: int) -> int:
+    """The index in another order, which takes every aligned run of 2**k numbers to such a run.
+
+    Two places made from one number move together: sub-pixel place and direction would cover a plane of their four
+    dimensions, and more points would not bring the mean nearer. Numbers shuffled in the manner of Owen (1995), each
+    bit flipped or not by a hash of the bits above it, decouple the two and leave `stratified` as even as it was.
+    Nothing is flipped under zeros, so the first 2**k numbers stay the first 2**k: few points lie as well as many.
+    """
+    out = index
+    for bit in range(index.bit_length()):
+        above = index >> (bit + 1)
+        if above and _hash(above * 32 + bit) & 1:
+            out ^= 1 << bit
+    return out
+
+
+def _hash(x: int) -> int:
+    """Mixed bits of a 32-bit number: xorshift and multiply, twice (Wellons 2018, "Prospecting for hash functions")."""
+    for shift, factor in ((16, 0x7FEB352D), (15, 0x846CA68B)):
+        x = ((x ^ (x >> shift)) * factor) & 0xFFFFFFFF
+    return x ^ (x >> 16)
