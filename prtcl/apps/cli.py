@@ -292,7 +292,7 @@ def _bake(options: argparse.Namespace) -> int:
 
 
 def _view(options: argparse.Namespace) -> int:
-    return _command("view")(options)
+    return _command("view.command")(options)
 
 
 def _devices(options: argparse.Namespace) -> int:
