@@ -103,7 +103,8 @@ def main() -> None:
                 "material": spec, "frames_per_second": 1 / median(seconds[1:]),
                 "milliseconds": 1e3 * median(seconds[1:]),
                 "first_with_a_new_cut_ms": 1e3 * first, "device_ms": stages,
-                "leaves": len(session._dress.cuts[0].leaves) / 136,  # type: ignore[union-attr]
+                "hard_nodes": 0 if session._outfit.full.hard is None else len(session._outfit.full.hard[0]),
+                "leaves": len(session._outfit.full.cuts[0].leaves) / 136,  # type: ignore[union-attr]
                 "cut_error": scenes_rmse(got, exact), "error": scenes_rmse(sampled, exact_truth[m]),
             }
         )  # fmt: skip

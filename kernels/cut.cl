@@ -6,13 +6,13 @@
 // f is evaluated at each leaf's middle for the point's own view: no slices, nothing to interpolate. Which squares are
 // leaves depends on the lobe's width and on the bin of the view (prtcl/transport/cut.py). The grid has the symmetry of
 // the square and f is isotropic, so cuts are kept for views with x >= y >= 0 only: other views are turned there, and
-// their leaves are looked up through `turns`.
+// their leaves' sums are found where the turn puts them.
 //
 //   ints, reals, tables   materials (brdf.clh)
 //   material              one index a point of the mesh
-//   leaves                one float4 a square: its middle direction; w = mean cosine * solid angle
-//   turns                 8 rows of N_SQUARES(LEVELS + 1): where a square goes under each turn (0 is the identity)
-//   lists                 squares of all cuts; starts  (BINS + 1) ints a material: a bin's list is starts[bin] ...
+//   leaves                n_leaves REAL4, of all bins and cuts: a leaf's middle direction; w = mean cosine * solid angle
+//   squares               8 rows of n_leaves ints: the leaf's square under each turn (0 is the identity)
+//   starts                (BINS + 1) ints a material: its leaves for a bin are starts[bin] ... starts[bin + 1] - 1
 //   sums                  one row of packed parent sums a point of the mesh (pyramid.cl)
 //   chosen, views         the points wanted and their local views, n_chosen ints and REAL4
 //   dst                   n_chosen REAL4, RGB and 0, times `scale`; added to where `add`
@@ -66,7 +66,7 @@ inline int bin_of(const REAL4 view)
 kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void shade_cut(const global int *restrict ints, const global REAL *restrict reals, const global REAL *restrict tables,
                const global int *restrict material, const global REAL4 *restrict leaves,
-               const global int *restrict turns, const global int *restrict lists, const global int *restrict starts,
+               const global int *restrict squares, const int n_leaves, const global int *restrict starts,
                const global uint *restrict sums, const global int *restrict chosen, const global REAL4 *restrict views,
                global REAL4 *restrict dst, const REAL scale, const int add)
 {
@@ -78,15 +78,14 @@ void shade_cut(const global int *restrict ints, const global REAL *restrict real
     int turn;
     const REAL4 view = canonical(views[item], &turn);
     const global int *bin = starts + own * (BINS + 1) + bin_of(view);
-    const global int *to = turns + turn * N_NODES;
+    const global int *square = squares + (size_t)turn * n_leaves;
     const global uint *row = sums + (size_t)point * N_NODES;
     const int first = bin[0], last = (view.z > (REAL)0) ? bin[1] : bin[0];
 
     ACC4 sum = (ACC4)((ACC)0);
     for (int k = first + lane; k < last; k += GROUP) {
-        const int node = lists[k];
-        const REAL4 d = leaves[node];
-        const float4 mean = unpack_rgb(row[to[node]]);
+        const REAL4 d = leaves[k];
+        const float4 mean = unpack_rgb(row[square[k]]);
         const REAL4 f = d.w * brdf(ints + own * MATERIAL_INTS, reals + own * MATERIAL_REALS, tables, d, view);
         sum += (ACC4)((ACC)f.x * (ACC)mean.x, (ACC)f.y * (ACC)mean.y, (ACC)f.z * (ACC)mean.z, (ACC)0);
     }
@@ -107,8 +106,8 @@ void shade_cut(const global int *restrict ints, const global REAL *restrict real
 kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
 void shade_cut_plain(const global int *restrict ints, const global REAL *restrict reals,
                      const global REAL *restrict tables, const global int *restrict material,
-                     const global REAL4 *restrict leaves, const global int *restrict turns,
-                     const global int *restrict lists, const global int *restrict starts,
+                     const global REAL4 *restrict leaves, const global int *restrict squares, const int n_leaves,
+                     const global int *restrict starts,
                      const global uint *restrict sums, const global int *restrict chosen,
                      const global REAL4 *restrict views, global REAL4 *restrict dst, const REAL scale,
                      const int n_chosen)
@@ -122,10 +121,9 @@ void shade_cut_plain(const global int *restrict ints, const global REAL *restric
     const int bin = own * (BINS + 1) + bin_of(view);
     ACC4 sum = (ACC4)((ACC)0);
     for (int k = starts[bin]; k < starts[bin + 1] && view.z > (REAL)0; ++k) {
-        const int node = lists[k];
-        const float4 mean = unpack_rgb(sums[(size_t)point * N_NODES + turns[turn * N_NODES + node]]);
-        const REAL4 f = leaves[node].w * brdf(ints + own * MATERIAL_INTS, reals + own * MATERIAL_REALS, tables,
-                                              leaves[node], view);
+        const float4 mean = unpack_rgb(sums[(size_t)point * N_NODES + squares[(size_t)turn * n_leaves + k]]);
+        const REAL4 f = leaves[k].w * brdf(ints + own * MATERIAL_INTS, reals + own * MATERIAL_REALS, tables,
+                                           leaves[k], view);
         sum += (ACC4)((ACC)f.x * (ACC)mean.x, (ACC)f.y * (ACC)mean.y, (ACC)f.z * (ACC)mean.z, (ACC)0);
     }
     sum *= (ACC)scale;

@@ -25,6 +25,8 @@ from prtcl.factors.environment import Environment, Light
 from prtcl.factors.material import Material, from_table
 from prtcl.factors.slices import Materials
 from prtcl.transport import collapse, cut, shade
+from prtcl.transport.hard_tree import HardSums
+from prtcl.transport.leaves import Leaves, Squares
 from prtcl.transport.settings import Settings
 from prtcl.wavelet import haar, pyramid, triple
 
@@ -266,7 +268,7 @@ def editing(device: Device) -> None:
         expected = np.broadcast_to(samples.mean(axis=2), (points, 3))
         assert np.abs(means / expected - 1).max() < 2 * pyramid.ROUNDING
         own = cut.whole(levels)
-        starts = np.concatenate([own.starts] * len(chosen))
+        leaves = Leaves(device, Squares(levels), [own] * len(chosen))
         wanted = device.array(rng.integers(0, points, POINTS), np.int32)
         material = device.array(np.arange(points) % len(chosen), np.int32)
         views = device.empty((POINTS, 4))
@@ -277,9 +279,7 @@ def editing(device: Device) -> None:
             device.array(cases.frames(points)), wanted, 3.0, 4.0, 5.0, views, POINTS,
         )  # fmt: skip
         inputs = (
-            *materials.arguments, material, device.array(cut.leaf_directions(levels)),
-            device.array(quadtree.turned_squares(levels), np.int32), device.array(own.leaves, np.int32),
-            device.array(starts, np.int32), sums, wanted, views,
+            *materials.arguments, material, *leaves.arguments, sums, wanted, views,
         )  # fmt: skip
         fast, plain = device.empty((POINTS, 4)), device.empty((POINTS, 4))
         small = device.kernels("cut.cl", GROUP=16, **defines)
@@ -288,9 +288,34 @@ def editing(device: Device) -> None:
         close(device, fast.get(), plain.get().astype(np.float64))
 
 
+def hard_light_kept(device: Device) -> None:
+    """A tree's energies and radiance over its leaves, which is that of the samples."""
+    chosen, light, points = all_materials(), sky(1, hard=True), 5
+    materials, rng = Materials(device, chosen), np.random.default_rng(5)
+    frames, views = cases.frames(points), directions(points)
+    material = (np.arange(points) % len(chosen)).astype(np.int32)
+    kept = HardSums(device, light.hard, 1.0, points)
+    seen = rng.uniform(size=(points, 3)) < 0.7
+    kept.collapse((seen @ np.array([1, 2, 4])).astype(np.uint32)[:, None], np.arange(points, dtype=np.int32))
+    expected = np.zeros((points, 4))
+    for p in range(points):
+        local = kept.samples[:, :3] @ frames[p].astype(np.float64).T
+        f = reference.brdf(chosen[material[p]].reference(), local, views[p])
+        terms = f * np.maximum(local[:, 2:], 0) * kept.samples[:, 3:] * seen[p][:, None]
+        expected[p, :3] = terms.sum(axis=0)
+    out, padded = device.array(np.zeros((points, 4))), np.concatenate([views, np.zeros((points, 1))], axis=1)
+    kept.add_radiance(
+        materials, kept.lists(chosen, 0.0), device.array(np.arange(points), np.int32),
+        device.array(material, np.int32), device.array(frames), device.array(padded), out,
+    )  # fmt: skip
+    got = out.get()
+    # Energies are kept to a step of their largest channel.
+    assert (np.abs(got - expected) <= 2 * pyramid.ROUNDING * expected.max(axis=1, keepdims=True)).all()
+
+
 TASKS: tuple[Callable[[Device], None], ...] = (
     haar_both_ways, triple_products, visibility, environment_gathered_and_splat, light_and_visibility, reflectance,
-    radiance, hard_light, editing,
+    radiance, hard_light, editing, hard_light_kept,
 )  # fmt: skip
 
 

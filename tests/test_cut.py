@@ -16,6 +16,7 @@ from prtcl.factors import hemisphere
 from prtcl.factors.material import Material, from_table
 from prtcl.factors.slices import Materials
 from prtcl.transport import cut
+from prtcl.transport.leaves import Leaves, Squares
 from prtcl.wavelet import pyramid
 
 LEVELS = 3
@@ -53,16 +54,10 @@ class Case:
         self.views = directions(chosen)
         self.materials = Materials(device, MATERIALS)
         padded = np.concatenate([self.views, np.zeros((chosen, 1))], axis=1)
-        starts, offset = [], 0
-        for own in cuts:
-            starts.append(own.starts + offset)
-            offset += len(own.leaves)
+        leaves = Leaves(device, Squares(levels), cuts)
         self.arguments = (
             *self.materials.arguments, device.array(self.material, np.int32),
-            device.array(cut.leaf_directions(levels)),
-            device.array(quadtree.turned_squares(levels), np.int32),
-            device.array(np.concatenate([c.leaves for c in cuts]), np.int32),
-            device.array(np.concatenate(starts), np.int32),
+            *leaves.arguments,
             sums, device.array(self.chosen, np.int32), device.array(padded),
         )  # fmt: skip
 
@@ -109,7 +104,7 @@ class Case:
 
 def made(device: Device, error: float, levels: int = LEVELS) -> list[cut.Cut]:
     spread = 4.0 ** -np.arange(levels)
-    return [cut.build(device, cut.stand_ins(m), levels, spread, error) for m in MATERIALS]
+    return [cut.build(cut.energies(device, cut.stand_ins(m), levels, spread), error) for m in MATERIALS]
 
 
 @pytest.mark.parametrize("group", [16, 64])
@@ -162,9 +157,8 @@ def test_turns_of_the_square(levels: int) -> None:
 @given(st.sampled_from(range(len(MATERIALS))), st.floats(0.005, 0.5))
 def test_a_cut_covers_the_hemisphere_once(which: int, error: float) -> None:
     """In every bin the leaves' solid angles add up to 2 pi, and no leaf lies in another."""
-    own = cut.build(
-        shared_device(), cut.stand_ins(MATERIALS[which]), LEVELS, 4.0 ** -np.arange(LEVELS), error
-    )
+    spread = 4.0 ** -np.arange(LEVELS)
+    own = cut.build(cut.energies(shared_device(), cut.stand_ins(MATERIALS[which]), LEVELS, spread), error)
     level_of = np.repeat(np.arange(LEVELS + 1), 4 ** np.arange(LEVELS + 1))
     for first, last in zip(own.starts[:-1], own.starts[1:], strict=True):
         covered = np.zeros(4**LEVELS, dtype=int)
@@ -185,7 +179,7 @@ def test_less_error_takes_more_leaves(device: Device) -> None:
     spread = 4.0 ** -np.arange(5.0)
     sizes = []
     for error in (0.3, 0.1, 0.03, 0.01):
-        own = cut.build(device, (GOLD,), 5, spread, error)
+        own = cut.build(cut.energies(device, (GOLD,), 5, spread), error)
         assert own.error <= error
         sizes.append(len(own.leaves))
     assert sizes == sorted(sizes)
@@ -194,7 +188,8 @@ def test_less_error_takes_more_leaves(device: Device) -> None:
 
 def test_a_sharper_lobe_has_finer_leaves_at_its_peak_and_no_more_elsewhere(device: Device) -> None:
     spread = 4.0 ** -np.arange(6.0)
-    own = cut.build(device, (Material.parse("ggx:alpha=0.05,f0=0.8"),), 6, spread, 0.02)
+    sharp = Material.parse("ggx:alpha=0.05,f0=0.8")
+    own = cut.build(cut.energies(device, (sharp,), 6, spread), 0.02 / 3)
     finest = quadtree.n_squares(6)
     assert (own.leaves >= finest).any()
     assert len(own.leaves) / 136 < 0.1 * 4**6

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import trimesh
 
 from prtcl.apps.demo_scene import build
 from prtcl.compute.device import Device
@@ -93,7 +94,7 @@ def test_edits_in_a_row_end_where_a_fresh_session_starts(
     last = own.view(CAMERA).image
     fresh = Session(mesh, own.light, list(own.materials), CAMERA, device=device, levels=4)
     assert (fresh.view().image == last).all()
-    assert len(own._seen) <= 4
+    assert len(own._viewfinder) <= 4
     assert len(own._relit._cuts) <= 8
 
 
@@ -102,13 +103,41 @@ def test_its_images_are_those_of_a_scene(mesh: Mesh, sky: Environment, device: D
     """The same vertices, frames, rays and light; a scene's f_v comes from slices, the session's from cuts."""
     bake = Bake.trace(mesh, 4)
     first = Scene(bake, sky, spec, CAMERA, device=device, levels=4, keep=4, views=128).render(samples=1).image
-    own = Session(bake, sky, spec, CAMERA, device=device, levels=4, error=0.003)
+    # Vertices of a scene keep the side of their normals.
+    own = Session(bake, sky, spec, CAMERA, device=device, levels=4, error=0.003, two_sided=False)
     second = own.view().image
     assert (first[..., 3] == second[..., 3]).all()
     inside = first[..., 3] > 0
     assert relative_rmse(second[inside][:, :3], first[inside][:, :3]) < 0.005
     own.error = 0.0
     assert relative_rmse(own.view().image[inside][:, :3], first[inside][:, :3]) < 0.005
+
+
+def test_surfaces_are_shaded_on_the_side_that_is_seen(sky: Environment, device: Device) -> None:
+    """An open bowl from above: its inside, whichever way normals and winding point. From below, its outside."""
+    bowl = trimesh.creation.icosphere(subdivisions=3)
+    bowl.update_faces(bowl.triangles_center[:, 1] < 0.0)
+    outwards = np.asarray(bowl.vertices) / np.linalg.norm(bowl.vertices, axis=1, keepdims=True)
+    above = Camera((0.3, 3.0, 0.4), (0, 0, 0), fov=50, size=SIZE)
+    below = replace(above, eye=(0.3, -3.0, 0.4))
+    images, traced = [], []
+    for sign in (1.0, -1.0):
+        for faces in (bowl.faces, bowl.faces[:, ::-1]):
+            mesh = Mesh.from_arrays(bowl.vertices, faces, sign * outwards)
+            own = Session(mesh, sky, PLASTER, above, device=device, levels=4, error=0.0)
+            first = own.view().image
+            under = own.view(below).image
+            traced.append(own.last.points.get("visibility", 0))
+            assert (own.view(above).image == first).all(), "turned there and back"
+            images.append((first, under))
+            one = Session(mesh, sky, PLASTER, above, device=device, levels=4, two_sided=False)
+            assert (one.view().image[..., :3].max() > 0) == (sign < 0)
+    assert min(traced) > 0
+    for first, under in images[1:]:
+        # Frames differ by a mirror, and with them where samples lie.
+        assert relative_rmse(first, images[0][0]) < 0.02
+        assert relative_rmse(under, images[0][1]) < 0.02
+    assert images[0][0][..., :3].max() > 0
 
 
 def test_cuts_err_by_what_they_say(mesh: Mesh, sky: Environment, device: Device) -> None:
@@ -122,7 +151,7 @@ def test_cuts_err_by_what_they_say(mesh: Mesh, sky: Environment, device: Device)
         made = own.view()
         assert made.report["expected_error"] <= error
         assert relative_rmse(made.image[..., :3], exact) < error
-        leaves.append(len(own._dress.cuts[0].leaves))
+        leaves.append(len(own._outfit.full.cuts[0].leaves))
     assert leaves == sorted(leaves)
     assert leaves[0] < leaves[-1]
 

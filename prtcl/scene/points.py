@@ -161,6 +161,12 @@ def vertex_points(
     return Points(origins, frames, views, part[chosen], alone, eye is not None)
 
 
+def back_origins(mesh: Mesh, tracer: Tracer) -> npt.NDArray[np.float32]:
+    """Ray origins of all vertices on the side away from their normals: (n, 3), as `Tracer.origins` gives them."""
+    assert mesh.normals is not None
+    return tracer.origins(mesh.vertices, -mesh.normals.astype(np.float64), tracer.vertex_reach)
+
+
 def with_eye(points: Points, positions: Array, eye: npt.ArrayLike) -> Points:
     """The same points, frames kept, seen from `eye`."""
     towards = np.asarray(eye, dtype=np.float64) - positions

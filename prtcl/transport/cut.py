@@ -7,8 +7,10 @@ is about
     Σ over left-out squares of level r of  Σ_M f_M²  ·  w_r,      w_r = mean of (L ⊕ V)_M² over the points' squares
 
 relative to the mean radiance squared, for f_v and L ⊕ V scaled to a mean product of one. A square is split while
-what lies below it counts: the smallest cut whose sum stays below the square of the error asked for. Where a lobe
-peaks leaves are samples; far from it they are large.
+what lies below it counts: the smallest cut whose sum stays below a square of an error. Where a lobe peaks leaves are
+samples; far from it they are large. The sum takes details as independent, which those of a lamp or a horizon are not:
+so the error of a cut is measured at some of the mesh's points, and the cut made anew for what that says
+(`prtcl.transport.pilots`).
 """
 
 from __future__ import annotations
@@ -27,9 +29,6 @@ from prtcl.factors.slices import Materials
 
 SIDE = 32
 """View bins along the side of the square of views; each is 4.5 degrees wide."""
-SAFETY = 3.0
-"""True error over the square root of the sum above: f_v's and the light's details are not independent, and a leaf's
-middle stands for its mean. bench/editing.py shows both."""
 STEPS = 4
 """Cuts are made for lobe widths in steps of 2^(1/4), the next sharper one: an edit within a step finds its cut made."""
 
@@ -44,7 +43,7 @@ class Cut:
     ----------
     leaves : (any,) int32 squares, all bins one after another
     starts : (bins + 1,) int32
-    error : the error expected, relative to the mean radiance, root mean square over bins
+    error : expected, relative to the mean radiance: the root of the sum above, or what was measured
     """
 
     leaves: npt.NDArray[np.int32]
@@ -85,37 +84,36 @@ def stand_ins(material: Material) -> tuple[Material, ...]:
     return tuple(Material.parse(text) for text in texts)
 
 
-def build(
-    device: Device,
-    materials: tuple[Material, ...],
-    levels: int,
-    spread: Array,
-    error: float,
-    side: int = SIDE,
-) -> Cut:
-    """The smallest cuts that keep the expected error below `error` for each of some materials.
+def energies(
+    device: Device, materials: tuple[Material, ...], levels: int, spread: Array, side: int = SIDE
+) -> list[Array]:
+    """What the sum above counts in and below each square, by level (bins, 4**r): the most over some materials.
 
     Parameters
     ----------
     levels : of the product
     spread : (levels,) w_r as above
-    error : relative; the leaves' own midpoint error is in `SAFETY`
     """
     views = bins(side)
     below = [np.zeros((len(views), quadtree.n_samples(r))) for r in range(levels)]
     for material in materials:
-        energies = _below(device, material, views, levels, spread)
-        below = [np.maximum(a, b) for a, b in zip(below, energies, strict=True)]
-    allowed = (error / SAFETY) ** 2
-    low, high = np.full(len(views), -60.0), np.zeros(len(views))
+        own = _below(device, material, views, levels, spread)
+        below = [np.maximum(a, b) for a, b in zip(below, own, strict=True)]
+    return below
+
+
+def build(below: list[Array], error: float) -> Cut:
+    """The smallest cuts that leave out no more than the square of `error`, of what `energies` gives."""
+    allowed, bins_ = error**2, len(below[0])
+    low, high = np.full(bins_, -60.0), np.zeros(bins_)
     for _ in range(16):
         middle = (low + high) / 2
         left_out = _split(below, np.exp(middle))[1]
         low, high = np.where(left_out <= allowed, middle, low), np.where(left_out <= allowed, high, middle)
     leaf, left_out = _split(below, np.exp(low))
     bin_of, square = np.nonzero(leaf)
-    starts = np.searchsorted(bin_of, np.arange(len(views) + 1)).astype(np.int32)
-    return Cut(square.astype(np.int32), starts, SAFETY * float(np.sqrt(left_out.mean())))
+    starts = np.searchsorted(bin_of, np.arange(bins_ + 1)).astype(np.int32)
+    return Cut(square.astype(np.int32), starts, float(np.sqrt(left_out.mean())))
 
 
 def whole(levels: int, side: int = SIDE) -> Cut:

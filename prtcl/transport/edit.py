@@ -8,6 +8,7 @@ collapsed when they are first asked for.
 from __future__ import annotations
 
 from collections.abc import Hashable
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -21,16 +22,13 @@ from prtcl.factors.environment import Environment, Light
 from prtcl.factors.material import Material
 from prtcl.factors.slices import Materials
 from prtcl.factors.visibility import Progress, Tracer
-from prtcl.transport import collapse, cut, shade
+from prtcl.transport import collapse, cut
+from prtcl.transport.hard_tree import HardSums
+from prtcl.transport.leaves import Leaves, Squares, local_views
+from prtcl.transport.pilots import Pilots, sample
 from prtcl.transport.pipeline import Points
 from prtcl.transport.settings import Settings
-from prtcl.wavelet import haar, pyramid
-
-LANES_CPU, LANES_GPU = 16, 64
-"""Work-items a point for the leaves of its cut."""
-GROUP = 64
-PILOT = 128
-"""Points whose products tell how much detail light and visibility have at each level."""
+from prtcl.wavelet import pyramid
 
 Indices = npt.NDArray[np.int32]
 
@@ -44,16 +42,20 @@ class Relit:
     tracer : what occludes
     positions : (n, 3) world
     points : frames that depend on the normal alone, as `vertex_points` makes them without an eye
+    other_origins : (n, 3) float32 ray origins on the points' back side
     levels : 4**levels directions of light, product and visibility
     rays : levels of the visibility grid, at most `levels`
     bits : (n, words) visibility already traced on 4**rays directions, or None
     """
 
     def __init__(
-        self, device: Device, tracer: Tracer, positions: npt.NDArray[np.float64], points: Points, levels: int,
-        rays: int, bits: npt.NDArray[np.uint32] | None = None,
+        self, device: Device, tracer: Tracer, positions: npt.NDArray[np.float64], points: Points,
+        other_origins: npt.NDArray[np.float32], levels: int, rays: int, bits: npt.NDArray[np.uint32] | None = None,
     ) -> None:  # fmt: skip
-        self.device, self.tracer, self.points = device, tracer, points
+        self.device, self.tracer, self._front = device, tracer, points
+        # Their own copies: points may be turned to their back side.
+        self.points = replace(points, origins=points.origins.copy(), frames=points.frames.copy())
+        self._other, self._back = other_origins.copy(), np.zeros(len(points), dtype=np.bool_)
         self.settings = Settings(levels=levels, rays=rays, keep=levels)
         count = len(points)
         needed = count * pyramid.row_bytes(levels)
@@ -67,13 +69,15 @@ class Relit:
         self._positions = device.array(positions - self._centre)
         self._frames, self._material = device.array(points.frames), device.array(points.material, np.int32)
         self._sums = device.empty((count, quadtree.n_squares(levels + 1)), np.uint32)
-        self._leaves = device.constant(("leaves", levels), lambda: cut.leaf_directions(levels))
-        self._turns = device.array(quadtree.turned_squares(levels), np.int32)
+        self._squares = Squares(levels)
         words = quadtree.visibility_words(rays)
-        self._bits = np.zeros((count, words), dtype=np.uint32) if bits is None else bits
+        self._bits = np.zeros((count, words), dtype=np.uint32) if bits is None else bits.copy()
         self.traced = np.full(count, bits is not None)
         self.collapsed = np.zeros(count, dtype=np.bool_)
         self._cuts: dict[Hashable, cut.Cut] = {}
+        self._lists: tuple[tuple[int, ...], Leaves] | None = None
+        self._pilots: Pilots | None = None
+        self._pilot_bits = None if bits is None else bits[sample(count)]
         self.light: Light | None = None
 
     # --- the light ------------------------------------------------------------------------------------------
@@ -83,31 +87,26 @@ class Relit:
         self.light = environment.split(self.settings.levels)
         self.channels = 1 if self.light.grey else 3
         self.scale = pyramid.scale_for(float(self.light.cube[..., :3].max()))
-        self._hard_bits = np.zeros(
-            (len(self.points), max(1, (len(self.light.hard) + 31) // 32)), dtype=np.uint32
-        )
-        self._hard_on_device: Any = None
+        hard, count = self.light.hard, len(self.points)
+        self._hard = HardSums(self.device, hard, self.light.hard_share, count) if len(hard) else None
         self.collapsed[:] = False
         self._cuts.clear()
-        self._spread: npt.NDArray[np.float64] | None = None
+        self._lists = self._pilots = None
 
-    @property
-    def spread(self) -> npt.NDArray[np.float64]:
-        """(levels,) w_r of `prtcl.transport.cut`, from a fixed sample of the mesh's points."""
-        if self._spread is None:
-            levels, count = self.settings.levels, len(self.points)
-            some = np.linspace(0, count - 1, min(PILOT, count)).astype(np.int32)
-            self.trace(some)
-            product = self._product(some)
-            coefficients = haar.forward(self.device, product).get().astype(np.float64)
-            mean = coefficients[..., 0].mean() / 2.0**levels
-            self._spread = np.array(
-                [
-                    (coefficients[..., 4**level : 4 ** (level + 1)] ** 2).mean() / max(mean**2, 1e-300)
-                    for level in range(levels)
-                ]
-            )
-        return self._spread
+    def turn(self, chosen: Indices, back: npt.NDArray[np.bool_]) -> None:
+        """Have the chosen points stand on their front or, where `back`, on their back side.
+
+        A point that changes sides is traced and collapsed anew when it is next needed.
+        """
+        which = chosen[self._back[chosen] != back]
+        if not len(which):
+            return
+        points = self.points
+        points.frames[which, 1:] *= -1.0  # bitangent and normal: the frame stays right-handed
+        points.origins[which], self._other[which] = self._other[which], points.origins[which]
+        self._back[which] ^= True
+        self._frames = self.device.array(points.frames)
+        self.traced[which] = self.collapsed[which] = False
 
     def trace(self, chosen: Indices, progress: Progress | None = None) -> int:
         """Trace the visibility of those points that have none yet; how many there were."""
@@ -132,12 +131,12 @@ class Relit:
             pyramid.pack(
                 self.device, self._product(some), self.device.array(some, np.int32), self._sums, self.scale
             )
-        if len(self.light.hard):
+        if self._hard is not None:
             points = self.points[new]
-            self._hard_bits[new] = self.tracer.light_visibility(
-                points.origins, points.frames[:, 2], self.light.hard[:, :3]
+            seen = self.tracer.light_visibility(
+                points.origins, points.frames[:, 2], self._hard.samples[:, :3]
             )
-            self._hard_on_device = None
+            self._hard.collapse(seen, new)
         self.collapsed[new] = True
         return len(new)
 
@@ -163,18 +162,33 @@ class Relit:
         error : relative, what the cuts may leave out; 0 takes every sample
         """
         cuts = [self._cut(material, error) for material in materials]
-        return Dress(self.device, materials, cuts)
+        key = tuple(id(own) for own in cuts)
+        if self._lists is None or self._lists[0] != key:
+            self._lists = key, Leaves(self.device, self._squares, cuts)
+        hard = None if self._hard is None else self._hard.lists(materials, error)
+        return Dress(Materials(self.device, materials), cuts, self._lists[1], hard)
 
     def _cut(self, material: Material, error: float) -> cut.Cut:
+        """A cut of the error asked for, or a whole one for 0."""
         stand_ins = cut.stand_ins(material)
-        key = ("whole",) if error == 0 else (error, *(id(m) if m.table else m.spec for m in stand_ins))
-        if key not in self._cuts:
-            levels = self.settings.levels
-            self._cuts[key] = (
-                cut.whole(levels)
-                if error == 0
-                else cut.build(self.device, stand_ins, levels, self.spread, error)
+        key = (error, *(id(m) if m.table else m.spec for m in stand_ins))
+        if self._pilots is None:
+            assert self.light is not None
+            some = sample(len(self.points))
+            self._pilots = Pilots(
+                self.device,
+                self.tracer,
+                self._front[some],
+                self._pilot_bits,
+                self.settings,
+                self._squares,
+                self.light,
             )
+            self._pilot_bits = self._pilots.bits
+        if error == 0.0:
+            return self._pilots.whole
+        if key not in self._cuts:
+            self._cuts[key] = self._pilots.fit(stand_ins, error)
         return self._cuts[key]
 
     # --- views ----------------------------------------------------------------------------------------------
@@ -185,52 +199,27 @@ class Relit:
         assert light is not None
         if not count:
             return np.zeros((0, 3), dtype=np.float32)
-        lanes = LANES_CPU if device.is_cpu else LANES_GPU
-        wanted = device.array(chosen, np.int32)
-        defines = {"LEVELS": self.settings.levels, "SIDE": cut.SIDE, "KINDS": dress.materials.mask}
-        views, out = device.empty((count, 4)), device.empty((count, 4))
-        at = [float(x) for x in np.asarray(eye, dtype=np.float64) - self._centre]
-        kernels = device.kernels("cut.cl", GROUP=GROUP, **defines)
-        device.launch(
-            kernels["local_views"], count, GROUP, self._positions, self._frames, wanted, *at, views, count
+        wanted, out = device.array(chosen, np.int32), device.empty((count, 4))
+        at = np.asarray(eye, dtype=np.float64) - self._centre
+        views = local_views(
+            device, dress.materials, self.settings.levels, self._positions, self._frames, wanted, at
         )
-        device.launch(
-            device.kernels("cut.cl", GROUP=lanes, **defines)["shade_cut"], lanes, lanes, *dress.materials.arguments,
-            self._material, self._leaves, self._turns, dress.leaves, dress.starts, self._sums, wanted, views, out,
-            1.0 / self.scale, 0, y=count,
-        )  # fmt: skip
-        if len(light.hard):
-            if self._hard_on_device is None:
-                self._hard_on_device = device.array(self._hard_bits, np.uint32)
-            shade.add_chosen_hard_radiance(
-                device,
-                dress.materials,
-                light,
-                wanted,
-                self._hard_on_device,
-                self._material,
-                self._frames,
-                views,
-                out,
+        dress.leaves.shade(dress.materials, self._material, self._sums, wanted, views, out, 1.0 / self.scale)
+        if self._hard is not None and dress.hard is not None:
+            self._hard.add_radiance(
+                dress.materials, dress.hard, wanted, self._material, self._frames, views, out
             )
         return np.asarray(out.get()[:, :3])
 
 
+@dataclass(frozen=True, eq=False)
 class Dress:
-    """Packed materials and their cuts on a device."""
+    """Packed materials and their cuts on a device: `hard` as `HardSums.lists` gives them."""
 
-    def __init__(self, device: Device, materials: list[Material], cuts: list[cut.Cut]) -> None:
-        self.materials, self.cuts = Materials(device, materials), cuts
-        leaves, starts, offset = [], [], 0
-        first: dict[int, int] = {}
-        for own in cuts:
-            if id(own) not in first:
-                first[id(own)] = offset
-                leaves.append(own.leaves)
-                offset += len(own.leaves)
-            starts.append(own.starts + first[id(own)])
-        self.leaves = device.array(np.concatenate(leaves), np.int32)
-        self.starts = device.array(np.concatenate(starts), np.int32)
+    materials: Materials
+    cuts: list[cut.Cut]
+    leaves: Leaves
+    hard: tuple[Any, Any] | None
 
     @property
     def error(self) -> float:

@@ -84,27 +84,10 @@ def add_hard_radiance(
         return out
     outgoing = np.zeros((count, 4))
     outgoing[:, :3] = views
-    return add_chosen_hard_radiance(
-        device, materials, light, device.array(np.arange(count), np.int32), device.array(bits, np.uint32),
-        device.array(material, np.int32), device.array(frames), device.array(outgoing), out,
-    )  # fmt: skip
-
-
-def add_chosen_hard_radiance(
-    device: Device, materials: Materials, light: Light, chosen: Any, bits: Any, material: Any, frames: Any,
-    views: Any, out: Any,
-) -> Any:  # fmt: skip
-    """`add_hard_radiance` at some of a mesh's points, all of whose data lie on the device.
-
-    Parameters
-    ----------
-    chosen : (k,) int32, the points wanted; views and out : (k, 4) of those
-    bits, material, frames : of all points
-    """
     _, hard = light.buffers(device)
     kernel = device.kernels("lights.cl", KINDS=materials.mask, GROUP=GROUP)["shade_lights"]
     device.launch(
-        kernel, len(chosen), GROUP, *materials.arguments, chosen, material, hard, len(light.hard), bits, frames,
-        views, out, len(chosen),
+        kernel, count, GROUP, *materials.arguments, device.array(material, np.int32), hard, len(light.hard),
+        device.array(bits, np.uint32), device.array(frames), device.array(outgoing), out, count,
     )  # fmt: skip
     return out
