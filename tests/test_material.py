@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from prtcl import reference
 from prtcl.errors import InputError
 from prtcl.factors.material import FORMS, KINDS, Material, from_table, pack
 
@@ -60,9 +61,52 @@ def test_every_form_is_read(spec: str, kind: str, numbers: dict[str, Any]) -> No
     assert material.reference() == {"kind": kind.split("-")[0], **numbers}
 
 
+@pytest.mark.parametrize(
+    ("spec", "tints", "black"),
+    [
+        ("lambert:albedo=mesh", {"albedo": (1, 1, 1)}, True),
+        ("lambert:albedo=0.8/0.7/0.6*mesh", {"albedo": (1, 1, 1)}, True),
+        ("ggx:alpha=0.3,f0=0.04,kd=0.5*mesh", {"kd": (1, 1, 1)}, False),
+        ("ggx:alpha=0.3,f0=0.9*mesh", {"f0": (1, 1, 1)}, False),
+        ("blinn:exponent=9,ks=0.1*mesh,kd=mesh", {"ks": (1, 1, 1), "kd": (1, 1, 1)}, True),
+        ("gltf:base=mesh,roughness=0.4", {"kd": (1, 1, 1), "f0": (0, 0, 0)}, False),
+        ("gltf:base=mesh,roughness=0.4,metallic=1", {"kd": (1, 1, 1), "f0": (1, 1, 1)}, False),
+    ],
+)
+def test_a_meshs_colour_multiplies_what_is_linear(spec: str, tints: dict[str, Any], black: bool) -> None:
+    """f(c) = f(0) + c (f(1) - f(0)), for the material that `reference` evaluates at each colour."""
+    material = Material.parse(spec)
+    assert material.tints == tints
+    assert (material.spec, material.untinted.black, material.black) == (spec, black, False)
+    rng = np.random.default_rng(4)
+    incident, outgoing = (reference.directions(3)[rng.integers(0, 64, 50)] for _ in range(2))
+    colour = np.array([0.9, 0.3, 0.05])
+    direct = Material.parse(
+        re.sub(r"(\w+)=([\d./]*)\*?mesh", lambda m: f"{m[1]}=" + _times(m[2] or "1", colour), spec)
+    )
+    dark, white, want = (
+        np.stack([reference.brdf(m.reference(), incident[i : i + 1], outgoing[i])[0] for i in range(50)])
+        for m in (material.untinted, material, direct)
+    )
+    np.testing.assert_allclose(dark + colour * (white - dark), want, rtol=1e-9, atol=1e-12)
+
+
+def _times(number: str, colour: Any) -> str:
+    value = np.array([float(v) for v in number.split("/")]) * colour
+    return "/".join(f"{v:.17g}" for v in value)
+
+
+@pytest.mark.parametrize(
+    "spec", ["ggx:alpha=mesh,f0=0.4", "ggx:alpha=0.3,eta=mesh,k=3", "lambert:albedo=x*mesh"]
+)
+def test_the_mesh_is_no_number_elsewhere(spec: str) -> None:
+    with pytest.raises(InputError, match="expected a number or r/g/b"):
+        Material.parse(spec)
+
+
 def test_the_forms_of_the_help_text_are_read() -> None:
     forms = [re.sub(r"\[(.*?)\]", r"\1", form.strip()) for form in FORMS.split("|")]
-    assert len(forms) == 5
+    assert len(forms) == 6
     for form in forms:
         if not form.startswith("table:"):
             assert Material.parse(form).spec == form

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import base64
 import json
-import re
 import struct
 from pathlib import Path
 from typing import Any
@@ -245,51 +244,32 @@ def test_ply_with_texture_coordinates_keeps_its_order(tmp_path: Path) -> None:
     np.testing.assert_array_equal(mesh.faces, CUBE_FACES)
 
 
-def coloured_gltf() -> Gltf:
-    scene = simple_gltf()
-    colours = scene.accessor(np.ones((8, 3), dtype="<f4"), 5126, "VEC3")
-    scene.tree["meshes"][0]["primitives"][0]["attributes"]["COLOR_0"] = colours
-    return scene
-
-
-def coloured(kind: str) -> bytes | str:
-    """The cube with red, green and blue at every vertex."""
-    if kind == "obj":
-        return re.sub(r"^(v .*)$", r"\1 0.5 0.25 1", obj_text(CUBE, CUBE_FACES), flags=re.MULTILINE)
-    if kind in ("glb", "gltf"):
-        return coloured_gltf().glb() if kind == "glb" else coloured_gltf().gltf()
-    data = ply_bytes(np.hstack((CUBE, CUBE)), CUBE_FACES, None, "ascii")
-    names = b"".join(b"property double %s\n" % name for name in (b"red", b"green", b"blue"))
-    return data.replace(b"property double z\n", b"property double z\n" + names)
-
-
-@pytest.mark.parametrize("kind", ["ply", "obj", "glb", "gltf"])
-def test_vertex_colours_are_left_out_with_a_note(tmp_path: Path, kind: str) -> None:
-    mesh = read_mesh(save(tmp_path / f"a.{kind}", coloured(kind)))
-    np.testing.assert_array_equal(mesh.vertices, CUBE)
-    (note,) = mesh.notes
-    assert "colours, which are not read yet" in note and "\n" not in note
-    assert read_mesh(cube_file(tmp_path, "ply:ascii" if kind == "ply" else kind)).notes == ()
-
-
-def test_textures_are_left_out_with_a_note(tmp_path: Path) -> None:
-    data = ply_bytes(CUBE, CUBE_FACES, None, "ascii").replace(
-        b"element vertex", b"comment TextureFile a.png\nelement vertex"
-    )
-    (note,) = read_mesh(save(tmp_path / "a.ply", data)).notes
-    assert "textures, which are not read yet" in note
+def test_what_colours_are_left_out_has_a_note(tmp_path: Path) -> None:
+    """What is read of them is in test_scene_colours.py."""
+    data = ply_bytes(CUBE, CUBE_FACES, None, "ascii")
+    named = data.replace(b"element vertex", b"comment TextureFile a.png\nelement vertex")
+    (note,) = read_mesh(save(tmp_path / "a.ply", named)).notes
+    assert note == "texture 'a.png' cannot be read (its vertices have no texture coordinates)"
     scene = simple_gltf(material=0)
-    for textured in (
-        {"name": "wood", "pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}},
-        {"name": "wood", "normalTexture": {"index": 0}},
-        {
-            "name": "wood",
-            "extensions": {"KHR_materials_pbrSpecularGlossiness": {"diffuseTexture": {"index": 0}}},
-        },
+    base, other = {"baseColorTexture": {"index": 0}}, {"index": 0}
+    glossy = "KHR_materials_pbrSpecularGlossiness"
+    for textured, words in (
+        ({"pbrMetallicRoughness": base}, "texture 'base colour' cannot be read (the file refers to"),
+        ({"normalTexture": other, "occlusionTexture": other}, "not read: normalTexture, occlusionTexture"),
+        ({"pbrMetallicRoughness": {"metallicRoughnessTexture": other}}, "not read: metallicRoughnessTexture"),
+        ({"extensions": {glossy: {"diffuseTexture": other}}}, "texture 'base colour' cannot be read"),
+        (
+            {"extensions": {glossy: {"specularGlossinessTexture": other}}},
+            "not read: specularGlossinessTexture",
+        ),
+        (
+            {"extensions": {"KHR_materials_clearcoat": {"clearcoatTexture": other}}},
+            "not read: clearcoatTexture",
+        ),
     ):
-        scene.tree["materials"] = [textured]
+        scene.tree["materials"] = [{"name": "wood", **textured}]
         (note,) = read_mesh(save(tmp_path / "a.glb", scene.glb())).notes
-        assert note.startswith("material 'wood': textures are not read")
+        assert note.startswith(f"material 'wood': {words}") and "\n" not in note
 
 
 def test_obj_objects_materials_and_shared_vertices(tmp_path: Path) -> None:

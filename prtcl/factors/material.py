@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -19,8 +19,10 @@ N_INTS, N_REALS = 4, 12
 
 FORMS = (
     "lambert:albedo=0.5 | ggx:alpha=0.3,eta=0.2,k=3.0 | ggx:alpha=0.3,f0=0.04[,kd=0.5] | "
-    "blinn:exponent=200,ks=0.5[,kd=0.1] | table:FILE.npz"
+    "gltf:base=0.5,roughness=0.5[,metallic=0] | blinn:exponent=200,ks=0.5[,kd=0.1] | table:FILE.npz"
 )
+MESH = "mesh"
+"""A colour that is the mesh's own: albedo=mesh, or kd=0.8*mesh."""
 # Parameter: (lowest, highest, default; None must be given). Ranges that conserve energy or are physical.
 _PARAMETERS: dict[str, dict[str, tuple[float, float, float | None]]] = {
     "lambert": {"albedo": (0.0, 1.0, 0.5)},
@@ -31,9 +33,13 @@ _PARAMETERS: dict[str, dict[str, tuple[float, float, float | None]]] = {
         "kd": (0.0, 1.0, 0.0),
     },
     "ggx-schlick": {"alpha": (1e-3, 1.0, None), "f0": (0.0, 1.0, None), "kd": (0.0, 1.0, 0.0)},
+    "gltf": {"base": (0.0, 1.0, None), "roughness": (0.0, 1.0, None), "metallic": (0.0, 1.0, 0.0)},
     "blinn": {"exponent": (0.0, 1e5, None), "ks": (0.0, 1.0, None), "kd": (0.0, 1.0, 0.0)},
 }
-_SCALARS = ("alpha", "exponent")
+_SCALARS = ("alpha", "exponent", "roughness", "metallic")
+_COLOURS = ("albedo", "kd", "f0", "ks", "base")
+"""Parameters in which f is linear (or base, of which they are made): those a mesh's colour may multiply."""
+_BLACK = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,6 +52,7 @@ class Material:
     numbers : parameter to RGB triple (`alpha` and `exponent` to one number)
     table : None, or {"values": (nh, nd, 3), "theta_h": (nh,), "theta_d": (nd,)} float64, angles in radians
     spec : the text it came from, for messages and reports
+    tints : parameter to the share (RGB) of it that the mesh's colour multiplies, from 0 to 1; empty for most
     notes : warnings for people, such as negative table entries set to zero
     """
 
@@ -54,10 +61,11 @@ class Material:
     table: dict[str, npt.NDArray[np.float64]] | None = None
     spec: str = ""
     notes: tuple[str, ...] = ()
+    tints: dict[str, tuple[float, float, float]] = field(default_factory=dict)
 
     @classmethod
     def parse(cls, spec: str | Material) -> Material:
-        """A material from its SPEC (see `FORMS`); a number may be r/g/b.
+        """A material from its SPEC (see `FORMS`); a number may be r/g/b, and a colour `mesh` or such as `0.8*mesh`.
 
         Raises
         ------
@@ -77,36 +85,80 @@ class Material:
             if ("f0" in given) == ("eta" in given or "k" in given):
                 raise InputError(f"brdf {spec}: expected f0, or both eta and k\nforms: {FORMS}")
             name = "ggx-schlick" if "f0" in given else "ggx-conductor"
-        elif name not in ("lambert", "blinn"):
+        elif name not in ("lambert", "blinn", "gltf"):
             raise InputError(f"brdf {spec}: unknown kind {name!r}\nforms: {FORMS}")
         numbers: dict[str, Any] = {}
+        tinted = []
         for parameter, (low, high, default) in _PARAMETERS[name].items():
             text = given.pop(parameter, None)
             if text is None and default is None:
                 raise InputError(f"brdf {spec}: {parameter} is missing\nforms: {FORMS}")
+            if text is not None and parameter in _COLOURS and (text == MESH or text.endswith("*" + MESH)):
+                tinted.append(parameter)
+                text = text[: -len(MESH) - 1] or "1"
             value = (default,) * 3 if text is None else _number(spec, parameter, text)
             if not all(math.isfinite(v) and low <= v <= high for v in value):  # type: ignore[arg-type, operator]
                 raise InputError(f"brdf {spec}: {parameter} expected from {low:g} to {high:g}, got {text}")
             if parameter in _SCALARS and len(set(value)) > 1:
                 raise InputError(f"brdf {spec}: {parameter} expected one number, got {text}")
             numbers[parameter] = value[0] if parameter in _SCALARS else value
-        return cls(name, numbers, spec=spec)
+        if name == "gltf":
+            base, metallic, roughness = (numbers[key] for key in ("base", "metallic", "roughness"))
+            return replace(cls.from_metallic_roughness(base, metallic, roughness, bool(tinted)), spec=spec)
+        return cls(name, numbers, spec=spec, tints={parameter: (1.0,) * 3 for parameter in tinted})
 
     @classmethod
     def from_metallic_roughness(
-        cls, base_color: tuple[float, float, float], metallic: float, roughness: float
+        cls, base_color: tuple[float, float, float], metallic: float, roughness: float, mesh: bool = False
     ) -> Material:
-        """glTF 2.0's metallic-roughness material (appendix B): α = roughness², F0 = mix(0.04, base, metallic)."""
+        """glTF 2.0's metallic-roughness material (appendix B): α = roughness², F0 = mix(0.04, base, metallic).
+
+        Parameters
+        ----------
+        base_color : linear; times the mesh's own colour where `mesh`
+        """
         f0 = tuple(0.04 * (1 - metallic) + metallic * min(1.0, c) for c in base_color)
         kd = tuple((1 - metallic) * min(1.0, c) for c in base_color)
         alpha = min(1.0, max(1e-3, roughness**2))
         text = "/".join(f"{v:.4g}" for v in f0)
         diffuse = "/".join(f"{v:.4g}" for v in kd)
+        if mesh:
+            base = "/".join(f"{v:.4g}" for v in base_color)
+            share = [
+                metallic * min(1.0, c) / v if v > 0 else 0.0 for c, v in zip(base_color, f0, strict=True)
+            ]
+            return cls(
+                "ggx-schlick",
+                {"alpha": alpha, "f0": f0, "kd": kd},
+                spec=f"gltf:base={base}*mesh,roughness={roughness:.4g},metallic={metallic:.4g}",
+                tints={"kd": (1.0, 1.0, 1.0), "f0": (share[0], share[1], share[2])},
+            )
         return cls(
             "ggx-schlick",
             {"alpha": alpha, "f0": f0, "kd": kd},
             spec=f"ggx:alpha={alpha:.4g},f0={text},kd={diffuse}",
         )
+
+    @property
+    def untinted(self) -> Material:
+        """What of it the mesh's colour does not multiply.
+
+        f is linear in what `tints` names, so with this one's radiance L₀ and its own L₁, under a white mesh, a point
+        of colour c reflects L₀ + c (L₁ − L₀).
+        """
+        numbers = dict(self.numbers)
+        for parameter, share in self.tints.items():
+            numbers[parameter] = tuple(v * (1.0 - s) for v, s in zip(numbers[parameter], share, strict=True))
+        return replace(self, numbers=numbers, spec=f"{self.spec} without {MESH}", tints={})
+
+    @property
+    def black(self) -> bool:
+        """Whether it reflects nothing."""
+        if self.kind == "table":
+            return not (self.table or {})["values"].any()
+        if self.kind.startswith("ggx"):
+            return False  # Schlick's Fresnel term is 1 at grazing angles whatever f0 is
+        return not any(any(self.numbers.get(name, _BLACK)) for name in ("albedo", "kd", "ks"))
 
     @property
     def grey(self) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import math
 import os
 from typing import Any
@@ -60,6 +61,22 @@ def write_exr(
             raise PrtclError(f"{os.fspath(path)}: writing the EXR failed: {error}") from error
 
 
+def encode_png(image: NDArray[np.floating], exposure: float = 0.0) -> bytes:
+    """The bytes that `write_png` writes.
+
+    Raises
+    ------
+    InputError
+        The image has another shape, or `exposure` is not a number.
+    """
+    info = PngInfo()
+    info.add_text("exposure", f"{exposure:g} stops")
+    info.add_text("Software", f"prtcl {__version__}")
+    file = io.BytesIO()
+    _preview(image, exposure).save(file, format="PNG", pnginfo=info)
+    return file.getvalue()
+
+
 def write_png(path: str | os.PathLike[str], image: NDArray[np.floating], exposure: float = 0.0) -> None:
     """Write an 8-bit sRGB preview.
 
@@ -82,6 +99,15 @@ def write_png(path: str | os.PathLike[str], image: NDArray[np.floating], exposur
     PrtclError
         Writing failed, such as on a full disk.
     """
+    with replacing(path) as temporary:
+        try:
+            temporary.write_bytes(encode_png(image, exposure))
+        except OSError as error:
+            raise PrtclError(f"{os.fspath(path)}: writing the PNG failed: {error}") from error
+
+
+def _preview(image: NDArray[np.floating], exposure: float) -> Image.Image:
+    """An 8-bit sRGB image of linear premultiplied radiance."""
     if not math.isfinite(exposure) or abs(exposure) > 1000:
         raise InputError(f"exposure: expected stops between -1000 and 1000, got {exposure}")
     pixels = _checked(image, (3, 4)).astype(np.float64)
@@ -94,15 +120,7 @@ def write_png(path: str | os.PathLike[str], image: NDArray[np.floating], exposur
             colour = np.divide(colour, alpha, out=np.zeros_like(colour), where=alpha > 0)
             encoded[..., 3:] = alpha
         encoded[..., :3] = srgb(np.clip(np.nan_to_num(colour * 2.0**exposure, nan=0.0), 0.0, 1.0))
-    info = PngInfo()
-    info.add_text("exposure", f"{exposure:g} stops")
-    info.add_text("Software", f"prtcl {__version__}")
-    preview = Image.fromarray(np.floor(encoded * 255.0 + 0.5).astype(np.uint8))
-    with replacing(path) as temporary:
-        try:
-            preview.save(temporary, format="PNG", pnginfo=info)
-        except Exception as error:
-            raise PrtclError(f"{os.fspath(path)}: writing the PNG failed: {error}") from error
+    return Image.fromarray(np.floor(encoded * 255.0 + 0.5).astype(np.uint8))
 
 
 def srgb(linear: NDArray[np.floating]) -> NDArray[np.float64]:

@@ -17,6 +17,7 @@ from prtcl.files.atomic import replacing
 from prtcl.files.npz import read_npz
 from prtcl.scene.mesh import Mesh, PartMaterial
 from prtcl.scene.points import vertex_points
+from prtcl.scene.texture import WRAPS, Texture
 
 FORMAT = 1
 _LAYOUT = {
@@ -30,6 +31,13 @@ _LAYOUT = {
     "bits": ("u4", ("vertices", "words")),
 }
 """Each array's dtype, or its kind, and shape; lengths of one name agree."""
+_OPTIONAL = {
+    "colours": ("f4", ("vertices", 3)),
+    "uv": ("f4", ("vertices", 2)),
+    "textures": ("i4", ("parts",)),
+    "wraps": ("i4", ("images", 2)),
+}
+"""Of meshes with colours: each part's texture, -1 for none, and the indices in WRAPS of texture_0, texture_1, …"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,6 +72,8 @@ class Bake:
         for row, part in enumerate(self.mesh.materials):
             if part is not None:
                 factors[row] = (*part.base_color, part.metallic, part.roughness)
+        extras: dict[str, Any] = {**_textures(self.mesh)}
+        extras |= {key: a for key in ("colours", "uv") if (a := getattr(self.mesh, key)) is not None}
         with replacing(path) as aside, aside.open("wb") as file:
             np.savez(
                 file,
@@ -77,6 +87,7 @@ class Bake:
                 materials=factors,
                 rays=self.rays,
                 bits=self.bits,
+                **extras,
             )
 
     @classmethod
@@ -101,22 +112,49 @@ class Bake:
             )
         _check(name, data)
         rays = int(data["rays"])
+        wraps = data.get("wraps", ())
+        textures: list[Texture | None] = [
+            Texture(data[f"texture_{number}"], (WRAPS[across], WRAPS[down]))
+            for number, (across, down) in enumerate(wraps)
+        ]
+        textures.append(None)  # which -1 stands for
+        numbers = data.get("textures", np.full(len(data["materials"]), -1))
         materials = tuple(
-            None if np.isnan(row).any() else PartMaterial("", tuple(row[:3]), float(row[3]), float(row[4]))
-            for row in data["materials"]
+            None
+            if np.isnan(row).any()
+            else PartMaterial("", tuple(row[:3]), float(row[3]), float(row[4]), textures[number])
+            for row, number in zip(data["materials"], numbers, strict=True)
         )
         mesh = Mesh(
             str(data.get("name", "bake")), data["vertices"], data["faces"], data["normals"], data["parts"],
-            materials, (),
+            materials, (), data.get("colours"), data.get("uv"),
         )  # fmt: skip
         return cls(mesh, data["bits"], rays)
+
+
+def _textures(mesh: Mesh) -> dict[str, npt.NDArray[Any]]:
+    """The arrays that hold a mesh's textures, each once however many parts share it; none where there are none."""
+    found: dict[int, tuple[int, Texture]] = {}
+    numbers = np.full(len(mesh.materials), -1, dtype=np.int32)
+    for part, material in enumerate(mesh.materials):
+        if material is not None and material.texture is not None:
+            numbers[part], _ = found.setdefault(id(material.texture), (len(found), material.texture))
+    if not found:
+        return {}
+    wraps = [[WRAPS.index(mode) for mode in texture.wrap] for _, texture in found.values()]
+    images = {f"texture_{number}": texture.image for number, texture in found.values()}
+    return {"textures": numbers, "wraps": np.array(wraps, dtype=np.int32), **images}
 
 
 def _check(name: str, data: dict[str, npt.NDArray[Any]]) -> None:
     """Refuse arrays that do not fit each other or would lead a kernel or embree out of bounds."""
     rays = int(data["rays"]) if data["rays"].shape == () else 0
     lengths = {"words": quadtree.visibility_words(rays) if 1 <= rays <= quadtree.MAX_LEVELS else -1}
-    for key, (kind, shape) in _LAYOUT.items():
+    layout: dict[str, tuple[str, tuple[str | int, ...]]] = {**_LAYOUT}
+    layout |= {key: value for key, value in _OPTIONAL.items() if key in data}
+    images = [key for key in data if key.startswith("texture_")]
+    layout |= {key: ("u1", (f"{key} height", f"{key} width", 3)) for key in images}
+    for key, (kind, shape) in layout.items():
         array = data[key]
         fits = array.dtype.str[1:].startswith(kind) and array.ndim == len(shape)
         if fits:
@@ -128,11 +166,25 @@ def _check(name: str, data: dict[str, npt.NDArray[Any]]) -> None:
                 f"{name}: {key} expected {kind} of shape ({wanted}), got {array.dtype} of {array.shape}; "
                 "the bake is damaged: make it again"
             )
-    for key, below in (("faces", lengths["vertices"]), ("parts", lengths["parts"])):
-        if not data[key].size or data[key].min() < 0 or data[key].max() >= below:
+    lengths["wrap modes"] = len(WRAPS)
+    for key, low, count in (
+        ("faces", 0, "vertices"),
+        ("parts", 0, "parts"),
+        ("textures", -1, "images"),
+        ("wraps", 0, "wrap modes"),
+    ):
+        if key not in data:
+            continue
+        array, below = data[key], lengths.get(count, 0)
+        if not array.size or array.min() < low or array.max() >= below:
             raise InputError(
-                f"{name}: {key} expected from 0 to {below - 1}; the bake is damaged: make it again"
+                f"{name}: {key} expected from {low} to {below - 1}; the bake is damaged: make it again"
             )
-    for key in ("vertices", "normals"):
-        if not np.isfinite(data[key]).all():
+    wanted_images = {f"texture_{number}" for number in range(lengths.get("images", 0))}
+    if wanted_images != set(images) or ("textures" in data) != ("wraps" in data):
+        raise InputError(f"{name}: textures are not complete; the bake is damaged: make it again")
+    if not all(data[key].size for key in images):
+        raise InputError(f"{name}: textures without texels; the bake is damaged: make it again")
+    for key in ("vertices", "normals", "colours", "uv"):
+        if key in data and not np.isfinite(data[key]).all():
             raise InputError(f"{name}: {key} are NaN or infinite; the bake is damaged: make it again")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -10,16 +11,17 @@ from numpy.typing import NDArray
 
 from prtcl.errors import InputError
 from prtcl.scene.mesh_normals import face_vectors, normalised, vertex_normals
-from prtcl.scene.mesh_raw import RawMesh
+from prtcl.scene.mesh_raw import PartMaterial, RawMesh
 
 # Twice the area below which a triangle counts as having none, in units of the squared bounding box diagonal.
 # An edge of 1e-7 diagonals is what float32 positions resolve.
 DEGENERATE = 1e-14
+OVERSHOOT = 1e-3  # of a colour beyond 0 to 1, above which clipping it is worth a note
 LARGEST = 1e30  # rays are traced in float32, which a product of larger coordinates overflows
 
 
 def check_raw(raw: RawMesh, where: str) -> RawMesh:
-    """Return the mesh with float64 vertices, int32 faces and parts, float32 unit normals, all valid.
+    """Return the mesh with float64 vertices, int32 faces and parts, float32 unit normals, colours and uv, all valid.
 
     Parameters
     ----------
@@ -31,7 +33,8 @@ def check_raw(raw: RawMesh, where: str) -> RawMesh:
     Returns
     -------
     RawMesh
-        Vertices are those of `raw`; degenerate triangles are dropped; `notes` tell of every change.
+        Vertices are those of `raw`; degenerate triangles are dropped; colours are 0 to 1; textures are dropped where
+        there are no texture coordinates. `notes` tell of every change.
 
     Raises
     ------
@@ -52,8 +55,22 @@ def check_raw(raw: RawMesh, where: str) -> RawMesh:
         notes.append(f"dropped {dropped} degenerate triangles of {len(faces)}")
         faces, parts = faces[keep], parts[keep]
 
-    normals = None if raw.normals is None else _normals(raw.normals, vertices, faces, notes)
-    return replace(raw, vertices=vertices, faces=faces, normals=normals, parts=parts, notes=notes)
+    twins = None if raw.twins is None else np.asarray(raw.twins, dtype=np.int32)
+    normals = None if raw.normals is None else _normals(raw.normals, vertices, faces, twins, notes)
+    colours = None if raw.colours is None else _colours(raw.colours, len(vertices), notes)
+    uv = None if raw.uv is None else _uv(raw.uv, len(vertices), notes)
+    return replace(
+        raw,
+        vertices=vertices,
+        faces=faces,
+        normals=normals,
+        parts=parts,
+        materials=raw.materials if uv is not None else _untextured(raw.materials, notes),
+        notes=notes,
+        colours=colours,
+        uv=uv,
+        twins=twins,
+    )
 
 
 def _vertices(raw: NDArray[Any], where: str) -> NDArray[np.float64]:
@@ -114,7 +131,11 @@ def _degenerate(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> NDAr
 
 
 def _normals(
-    raw: NDArray[Any], vertices: NDArray[np.float64], faces: NDArray[np.int32], notes: list[str]
+    raw: NDArray[Any],
+    vertices: NDArray[np.float64],
+    faces: NDArray[np.int32],
+    twins: NDArray[np.int32] | None,
+    notes: list[str],
 ) -> NDArray[np.float32] | None:
     """Return stored normals as float32 units, with missing ones filled in; None where they do not fit."""
     if raw.shape != vertices.shape or raw.dtype.kind not in "fiu":
@@ -129,7 +150,8 @@ def _normals(
     units = normalised(stored)
     bad = ~units.any(axis=1)
     if bad.any():
-        units[bad] = vertex_normals(vertices, faces, "area")[bad]
+        one = np.arange(len(vertices)) if twins is None else twins
+        units[bad] = vertex_normals(vertices, one[faces], "area")[one[bad]]
         # A vertex that no triangle uses is never seen; only the others are worth a word.
         count = int((bad & used).sum())
         if count:
@@ -142,3 +164,53 @@ def _normals(
             "both are kept"
         )
     return units.astype(np.float32)
+
+
+def _colours(raw: NDArray[Any], count: int, notes: list[str]) -> NDArray[np.float32] | None:
+    """Return vertex colours as float32 in 0 to 1; None where they do not fit."""
+    colours = _fitting(raw, (count, 3), "vertex colours", notes)
+    if colours is None:
+        return None
+    bad = np.isnan(colours)
+    if bad.any():
+        notes.append(f"replaced {int(bad.any(axis=1).sum())} NaN vertex colours of {count} by 1")
+        colours[bad] = 1.0
+    beyond = ((colours < -OVERSHOOT) | (colours > 1.0 + OVERSHOOT)).any(axis=1)
+    if beyond.any():
+        notes.append(
+            f"clipped {int(beyond.sum())} vertex colours of {count} to 0 to 1; they go from "
+            f"{colours.min():g} to {colours.max():g}"
+        )
+    return np.clip(colours, 0.0, 1.0)
+
+
+def _uv(raw: NDArray[Any], count: int, notes: list[str]) -> NDArray[np.float32] | None:
+    """Return texture coordinates as finite float32; None where they do not fit."""
+    uv = _fitting(raw, (count, 2), "texture coordinates", notes)
+    if uv is None:
+        return None
+    bad = ~np.isfinite(uv).all(axis=1)
+    if bad.any():
+        notes.append(f"replaced {int(bad.sum())} NaN or infinite texture coordinates of {count} by 0")
+        uv[bad] = 0.0
+    return uv
+
+
+def _fitting(
+    raw: NDArray[Any], shape: tuple[int, int], what: str, notes: list[str]
+) -> NDArray[np.float32] | None:
+    """Return a float32 copy of numbers of this shape; None and a note for others."""
+    if raw.shape != shape or raw.dtype.kind not in "fiu":
+        notes.append(f"dropped {what}: expected shape {shape}, got {raw.shape} of {raw.dtype}")
+        return None
+    with np.errstate(over="ignore"):  # beyond float32 is infinite, and dealt with as that
+        return np.array(raw, dtype=np.float32, order="C")
+
+
+def _untextured(materials: Sequence[PartMaterial | None], notes: list[str]) -> list[PartMaterial | None]:
+    """Return the materials without their textures, which need coordinates."""
+    if any(material is not None and material.texture is not None for material in materials):
+        notes.append(
+            "has no texture coordinates that its textures could be read with; the factors are used alone"
+        )
+    return [None if material is None else replace(material, texture=None) for material in materials]

@@ -6,12 +6,13 @@ import io
 import logging
 import re
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from trimesh.exchange.ply import load_ply
 from trimesh.exchange.stl import load_stl
 from trimesh.geometry import triangulate_quads
@@ -19,7 +20,12 @@ from trimesh.geometry import triangulate_quads
 from prtcl.errors import InputError
 from prtcl.scene.mesh_gltf import load_gltf_scene
 from prtcl.scene.mesh_obj import load_obj
-from prtcl.scene.mesh_raw import RawMesh, concatenate, not_read, single
+from prtcl.scene.mesh_raw import PartMaterial, RawMesh, concatenate, not_read, single
+from prtcl.scene.texture import Texture, beside_by_name, decode_image, linear, unread
+
+# What exporters call the columns of a PLY.
+_PLY_COLOURS = (("red", "green", "blue"), ("diffuse_red", "diffuse_green", "diffuse_blue"), ("r", "g", "b"))
+_PLY_UV = (("texture_u", "texture_v"), ("u", "v"), ("s", "t"))
 
 # trimesh logs tracebacks of what it survives. Where the application sets up no logging, Python would print
 # them to stderr beside our own message; this handler keeps them for applications that do.
@@ -109,12 +115,69 @@ def _read_ply(path: Path, data: bytes) -> RawMesh:
     faces = np.asarray(loaded["faces"])
     if faces.ndim == 2 and faces.shape[1] > 3:
         faces = triangulate_quads(faces)
-    mesh = single(loaded["vertices"], faces, loaded.get("vertex_normals"))
-    if re.search(rb"^property\s+\S+\s+(diffuse_)?r(ed)?\s*$", header, re.MULTILINE):
-        mesh.notes.append(not_read("vertex or face colours"))
-    if re.search(rb"^comment\s+TextureFile\s", header, re.MULTILINE):
-        mesh.notes.append(not_read("textures"))
+    notes: list[str] = []
+    # trimesh's own picks of colours lose the type that tells sRGB from linear, and of texture coordinates those of
+    # faces before those of vertices, so both are taken from the columns it read.
+    elements = loaded.get("metadata", {}).get("_ply_raw", {})
+    colours = _ply_colours(elements, notes)
+    uv = _ply_uv(elements, notes)
+    material = _ply_texture(path, header, uv is not None, notes)
+    mesh = single(loaded["vertices"], faces, loaded.get("vertex_normals"), material, colours, uv)
+    mesh.notes += notes
     return mesh
+
+
+def _ply_columns(element: dict[str, Any], names: Sequence[str]) -> list[NDArray[Any]] | None:
+    """Return the columns of these names as (n,) arrays, None where one is missing."""
+    data = element.get("data")
+    present = data if isinstance(data, dict) else (getattr(getattr(data, "dtype", None), "names", None) or ())
+    if data is None or not all(name in present for name in names):
+        return None
+    return [np.asarray(data[name]).reshape(len(data[name])) for name in names]
+
+
+def _ply_colours(elements: dict[str, Any], notes: list[str]) -> NDArray[np.float64] | None:
+    """Return vertex colours as linear RGB: integers are sRGB, floats are taken as linear."""
+    for names in _PLY_COLOURS:
+        columns = _ply_columns(elements.get("vertex", {}), names)
+        if columns is not None:
+            values = np.stack(columns, axis=1)
+            if values.dtype.kind == "f":
+                return values.astype(np.float64)
+            # Integers of any other size hold what bytes would.
+            return linear(values / (65535.0 if values.dtype.itemsize == 2 else 255.0))
+    if any(_ply_columns(elements.get("face", {}), names) is not None for names in _PLY_COLOURS):
+        notes.append(not_read("colours of faces"))
+    return None
+
+
+def _ply_uv(elements: dict[str, Any], notes: list[str]) -> NDArray[np.float64] | None:
+    """Return the texture coordinates of vertices, v turned to point down."""
+    for names in _PLY_UV:
+        columns = _ply_columns(elements.get("vertex", {}), names)
+        if columns is not None:
+            return np.stack((columns[0], 1.0 - columns[1]), axis=1).astype(np.float64)
+    if "texcoord" in elements.get("face", {}).get("properties", {}):
+        notes.append(not_read("texture coordinates of faces"))
+    return None
+
+
+def _ply_texture(path: Path, header: bytes, has_uv: bool, notes: list[str]) -> PartMaterial | None:
+    """Return a material of the image that the header names: PLY has none, so it is white, rough and no metal."""
+    names = re.findall(rb"^comment\s+TextureFile\s+(.*?)\s*$", header, re.MULTILINE | re.IGNORECASE)
+    if not names:
+        return None
+    name = names[0].decode("utf-8", errors="replace")
+    try:
+        if not has_uv:
+            raise ValueError("its vertices have no texture coordinates")
+        if len(names) > 1:
+            raise ValueError(f"it is one of {len(names)}, and nothing says which is where")
+        image = decode_image(beside_by_name(path.parent, name))
+    except Exception as error:  # whatever is wrong with an image, the geometry is good
+        notes.append(unread("", name, error))
+        return None
+    return PartMaterial("", (1.0, 1.0, 1.0), 0.0, 1.0, Texture(image))
 
 
 def _same_polygons(path: Path, loaded: dict[str, Any]) -> None:

@@ -1,4 +1,4 @@
-"""Reads Wavefront OBJ with its vertices in file order.
+"""Reads Wavefront OBJ, its vertices in file order, with vertex colours, texture coordinates and materials.
 
 trimesh's reader is not used for this format: it copies or drops vertices where there are several materials,
 reverses the parts, mixes normals where a vertex has several, and counts relative indices from the end.
@@ -15,7 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prtcl.errors import InputError
-from prtcl.scene.mesh_raw import PartMaterial, RawMesh, not_read
+from prtcl.scene.mesh_raw import PartMaterial, RawMesh
+from prtcl.scene.texture import Texture, beside_by_name, decode_image, linear, unread
+
+# How many words follow an option of a map in an .mtl; the three that say where the image lies take one to three.
+_OPTION_WORDS = {"-mm": 2, "-o": 3, "-s": 3, "-t": 3}
+_OTHER_MAPS = ("bump", "disp", "decal", "refl", "norm")  # that do not begin with map_
 
 
 class _Lines:
@@ -24,13 +29,17 @@ class _Lines:
     def __init__(self) -> None:
         self.vertices: list[tuple[float, float, float]] = []
         self.normals: list[tuple[float, float, float]] = []
+        self.uv: list[tuple[float, float]] = []
+        self.colours: list[tuple[float, float, float]] = []  # up to the last vertex that has one
         self.corners: list[int] = []  # vertex index of each triangle corner, from 0
         self.corner_normals: list[int] = []  # normal index likewise, -1 for none
+        self.corner_uv: list[int] = []  # index of the texture coordinates likewise
         self.parts: list[int] = []
         self.keys: dict[tuple[str, str | None], int] = {}  # (object, material) to part
         self.libraries: list[str] = []
-        self.coloured = False  # a vertex line has red, green and blue after its position
-        self.known: dict[str, tuple[int, int]] = {}  # corners parsed before, as each occurs about six times
+        self.known: dict[
+            str, tuple[int, int, int]
+        ] = {}  # corners parsed before, as each occurs about six times
 
 
 def load_obj(path: Path, data: bytes) -> RawMesh:
@@ -39,7 +48,7 @@ def load_obj(path: Path, data: bytes) -> RawMesh:
     Parameters
     ----------
     path : pathlib.Path
-        Where it lies; material libraries are looked up beside it.
+        Where it lies; material libraries are looked up beside it, and images beside those.
     data : bytes
         Its contents.
 
@@ -47,7 +56,7 @@ def load_obj(path: Path, data: bytes) -> RawMesh:
     -------
     RawMesh
         A part for each pair of object and material. Vertices are those of the file; one that is used with
-        several normals appears once for each, next to each other.
+        several pairs of normal and texture coordinates appears once for each, next to each other.
 
     Raises
     ------
@@ -67,8 +76,9 @@ def load_obj(path: Path, data: bytes) -> RawMesh:
             f"{path}: a face points outside the {len(vertices)} vertices, triangle {face} (from 0); "
             "the file is damaged"
         )
-    notes = [not_read("vertex colours")] if lines.coloured else []
-    known = _materials(path, lines.libraries, notes)
+    notes: list[str] = []
+    used = {material for _, material in lines.keys if material is not None}
+    known = _materials(path, lines.libraries, used, notes)
     materials: list[PartMaterial | None] = []
     for _, material in lines.keys:
         if material is not None and material not in known:
@@ -77,7 +87,10 @@ def load_obj(path: Path, data: bytes) -> RawMesh:
     raw = RawMesh(
         vertices, corners.reshape(-1, 3), None, np.array(lines.parts, dtype=np.int32), materials, notes
     )
-    return _with_normals(raw, lines)
+    if lines.colours:
+        white = [(1.0, 1.0, 1.0)] * (len(vertices) - len(lines.colours))
+        raw.colours = linear(lines.colours + white)
+    return _split(raw, lines)
 
 
 def _parse(path: Path, data: bytes, lines: _Lines) -> None:
@@ -93,9 +106,15 @@ def _parse(path: Path, data: bytes, lines: _Lines) -> None:
             match words[0]:
                 case "v":
                     lines.vertices.append((float(words[1]), float(words[2]), float(words[3])))
-                    lines.coloured |= len(words) >= 7
+                    if len(words) >= 7:
+                        missing = len(lines.vertices) - 1 - len(lines.colours)
+                        lines.colours += [(1.0, 1.0, 1.0)] * missing
+                        lines.colours.append((float(words[4]), float(words[5]), float(words[6])))
                 case "vn":
                     lines.normals.append((float(words[1]), float(words[2]), float(words[3])))
+                case "vt":
+                    # From the bottom of the image there, from the top in a Mesh.
+                    lines.uv.append((float(words[1]), 1.0 - float(words[2]) if len(words) > 2 else 1.0))
                 case "f":
                     part = lines.keys.setdefault((current_object, material), len(lines.keys))
                     _face(words[1:], part, lines)
@@ -134,16 +153,18 @@ def _face(words: list[str], part: int, lines: _Lines) -> None:
     for second, third in pairwise(corners[1:]):
         lines.corners += (first[0], second[0], third[0])
         lines.corner_normals += (first[1], second[1], third[1])
+        lines.corner_uv += (first[2], second[2], third[2])
         lines.parts.append(part)
 
 
-def _corner(word: str, lines: _Lines) -> tuple[int, int]:
-    """Return the vertex and normal indices of one corner, such as "3", "3/1", "3//2" or "3/1/2"."""
+def _corner(word: str, lines: _Lines) -> tuple[int, int, int]:
+    """Return the vertex, normal and texture indices of one corner, such as "3", "3/1", "3//2" or "3/1/2"."""
     fields = word.split("/")
     stored = len(fields) > 2 and fields[2] != ""
     corner = (
         _index(fields[0], len(lines.vertices)),
         _index(fields[2], len(lines.normals)) if stored else -1,
+        _texture_index(fields[1], len(lines.uv)) if len(fields) > 1 else -1,
     )
     if "-" not in word:  # a relative index means something else on the next line
         lines.known[word] = corner
@@ -158,31 +179,73 @@ def _index(word: str, count: int) -> int:
     return value - 1 if value > 0 else count + value
 
 
-def _with_normals(raw: RawMesh, lines: _Lines) -> RawMesh:
-    """Give each pair of vertex and normal a vertex of its own, in file order."""
-    used = np.array(lines.corner_normals, dtype=np.int64)
-    if not len(used) or used.max() < 0:
-        return raw
-    if used.max() >= len(lines.normals):
-        raw.notes.append(
-            f"dropped stored normals: a face names normal {used.max() + 1} of {len(lines.normals)}"
-        )
-        return raw
-    stored: NDArray[Any] = np.vstack((lines.normals, np.zeros(3)))  # the last row serves -1, none
-    step = len(stored)
+def _texture_index(word: str, count: int) -> int:
+    """Return an index like `_index`, but -1 for what is none: no reason to refuse the geometry."""
+    try:
+        return _index(word, count)
+    except ValueError:
+        return -1
+
+
+def _split(raw: RawMesh, lines: _Lines) -> RawMesh:
+    """Give each vertex one of its own for every pair of normal and texture coordinates, in file order."""
     corners = raw.faces.reshape(-1)
+    normals, normal = _stored(lines.normals, lines.corner_normals, 3, "normal", raw.notes)
+    uv, texel = _stored(lines.uv, lines.corner_uv, 2, "texture coordinate", raw.notes)
+    if normals is None and uv is None:
+        return raw
     loose = np.setdiff1d(np.arange(len(raw.vertices)), corners)  # kept, so that the order is the file's
-    pairs = np.concatenate((corners * step + used % step, loose * step + step - 1))
-    unique, inverse = np.unique(pairs, return_inverse=True)
-    raw.vertices = raw.vertices[unique // step]
-    raw.normals = stored[unique % step]
-    raw.faces = inverse[: len(corners)].reshape(-1, 3)
+    # The last rows serve -1, none, and come last among the copies of a vertex.
+    steps = [1 if stored is None else len(stored) for stored in (normals, uv)]
+    pairs = (normal % steps[0]) * steps[1] + texel % steps[1]
+    pairs = np.concatenate((pairs, np.full(len(loose), steps[0] * steps[1] - 1)))
+    # Numbered anew, as a product of all three counts may pass 64 bits.
+    kinds, kind = np.unique(pairs, return_inverse=True)
+    keys = np.concatenate((corners, loose)) * len(kinds) + kind.reshape(-1)
+    unique, inverse = np.unique(keys, return_inverse=True)
+    vertex, pair = unique // len(kinds), kinds[unique % len(kinds)]
+    raw.vertices = raw.vertices[vertex]
+    raw.colours = None if raw.colours is None else raw.colours[vertex]
+    raw.normals = None if normals is None else normals[pair // steps[1]]
+    raw.faces = inverse.reshape(-1)[: len(corners)].reshape(-1, 3)
+    if uv is not None:
+        raw.uv = uv[pair % steps[1]]
+        same = np.zeros(len(unique), dtype=np.bool_)
+        same[1:] = (np.diff(vertex) == 0) & (np.diff(pair // steps[1]) == 0)
+        if same.any():
+            raw.twins = np.maximum.accumulate(np.where(same, 0, np.arange(len(unique))))
+        _note_bare_corners(raw, texel)
     return raw
 
 
-def _materials(path: Path, libraries: list[str], notes: list[str]) -> dict[str, PartMaterial]:
-    """Read the factors of every material of the libraries that exist."""
+def _stored(
+    rows: list[Any], index: list[int], columns: int, what: str, notes: list[str]
+) -> tuple[NDArray[np.float64] | None, NDArray[np.int64]]:
+    """Return stored rows, then one of zeros, and each corner's index; None where they are not used or do not fit."""
+    used = np.array(index, dtype=np.int64)
+    if not len(used) or used.max() < 0:
+        return None, np.zeros(len(used), dtype=np.int64)
+    if used.max() >= len(rows):
+        notes.append(f"dropped stored {what}s: a face names {what} {used.max() + 1} of {len(rows)}")
+        return None, np.zeros(len(used), dtype=np.int64)
+    return np.vstack((rows, np.zeros(columns))), used
+
+
+def _note_bare_corners(raw: RawMesh, texel: NDArray[np.int64]) -> None:
+    """Tell of triangles of a textured part that have no texture coordinates."""
+    bare = (texel < 0).reshape(-1, 3).any(axis=1)
+    for part, material in enumerate(raw.materials):
+        count = int((bare & (raw.parts == part)).sum())
+        if material is not None and material.texture is not None and count:
+            raw.notes.append(
+                f"material '{material.name}': {count} triangles without texture coordinates take those of (0, 0)"
+            )
+
+
+def _materials(path: Path, libraries: list[str], used: set[str], notes: list[str]) -> dict[str, PartMaterial]:
+    """Read the materials that are used from those libraries that exist."""
     found: dict[str, PartMaterial] = {}
+    textures: dict[tuple[Path, str], Texture | Exception] = {}
     for library in dict.fromkeys(libraries):
         try:
             text = (path.parent / library).read_text(encoding="utf-8", errors="replace")
@@ -198,23 +261,76 @@ def _materials(path: Path, libraries: list[str], notes: list[str]) -> dict[str, 
                 entry = entries.setdefault(line[6:].strip(), {})
             elif entries:
                 entry[words[0]] = words[1:]
+        folder = (path.parent / library).parent
         for name, entry in entries.items():
-            found.setdefault(name, _material(name, entry))
-            if any(key.startswith("map_") for key in entry):
-                notes.append(f"material '{name}': textures are not read, its factors are used alone")
+            if name in used and name not in found:
+                found[name] = _material(name, entry, _texture(name, entry, folder, textures, notes))
     return found
 
 
-def _material(name: str, entry: dict[str, list[str]]) -> PartMaterial:
+def _texture(
+    name: str,
+    entry: dict[str, list[str]],
+    folder: Path,
+    known: dict[tuple[Path, str], Texture | Exception],
+    notes: list[str],
+) -> Texture | None:
+    """Read the image of map_Kd, once for all materials that name it; note what is left out."""
+    left_out = [key for key in entry if key.startswith("map_") or key.lower() in _OTHER_MAPS]
+    words = entry.get("map_Kd")
+    if words is not None:
+        left_out.remove("map_Kd")
+    if left_out:
+        notes.append(f"material '{name}': not read: {', '.join(left_out)}")
+    if words is None:
+        return None
+    options, file = _options(words)
+    if options:
+        notes.append(f"material '{name}': the options of map_Kd are not read: {options}")
+    key = (folder, file)
+    if key not in known:
+        try:
+            known[key] = Texture(decode_image(beside_by_name(folder, file)))
+        except Exception as error:  # whatever is wrong with an image, the geometry is good
+            known[key] = error
+    texture = known[key]
+    if isinstance(texture, Exception):
+        notes.append(unread(f"material '{name}': ", file, texture))
+        return None
+    return texture
+
+
+def _options(words: list[str]) -> tuple[str, str]:
+    """Part the words of a map into its options and the file name, which may have spaces."""
+    at = 0
+    while words[at].startswith("-") and at + 2 < len(words):
+        last = min(at + _OPTION_WORDS.get(words[at], 1), len(words) - 2)
+        at += 2
+        # Numbers that may be left out end where something else begins.
+        while at <= last and _is_number(words[at]):
+            at += 1
+    return " ".join(words[:at]), " ".join(words[at:])
+
+
+def _is_number(word: str) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True
+
+
+def _material(name: str, entry: dict[str, list[str]], texture: Texture | None) -> PartMaterial:
     """Map an MTL entry to metallic-roughness: Kd, Pm and Pr, or roughness from the exponent Ns."""
     try:
         red, green, blue = (min(max(float(word), 0.0), 1.0) for word in (entry.get("Kd", []) * 3)[:3])
     except ValueError:
-        red = green = blue = 0.8  # the format's usual default; also for spectral colours
+        # The format's usual default, also for spectral colours; a texture alone says what colour it is.
+        red = green = blue = 0.8 if texture is None else 1.0
     exponent = _number(entry, "Ns", 0.0)
     # alpha = sqrt(2 / (Ns + 2)) matches the width of a Blinn-Phong lobe, and alpha = roughness squared.
-    roughness = _number(entry, "Pr", (2.0 / (max(exponent, 0.0) + 2.0)) ** 0.25)
-    return PartMaterial(name, (red, green, blue), _number(entry, "Pm", 0.0), min(max(roughness, 0.0), 1.0))
+    roughness = min(max(_number(entry, "Pr", (2.0 / (max(exponent, 0.0) + 2.0)) ** 0.25), 0.0), 1.0)
+    return PartMaterial(name, (red, green, blue), _number(entry, "Pm", 0.0), roughness, texture)
 
 
 def _number(entry: dict[str, list[str]], key: str, default: float) -> float:

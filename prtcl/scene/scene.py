@@ -16,7 +16,7 @@ from prtcl.errors import InputError
 from prtcl.factors.environment import Environment
 from prtcl.factors.material import Material
 from prtcl.factors.visibility import Tracer
-from prtcl.files.image import write_exr, write_png
+from prtcl.files.image import encode_png, write_exr, write_png
 from prtcl.files.radiance import read_radiance, require_equirectangular
 from prtcl.scene.bake import Bake
 from prtcl.scene.camera import Camera
@@ -24,13 +24,15 @@ from prtcl.scene.film import FIRST, FIRST_HARD, Film
 from prtcl.scene.mesh import Mesh, read_mesh
 from prtcl.scene.points import check_eye, shoot
 from prtcl.scene.shaders import Counter, Layer, Notify, PixelShader, VertexShader
+from prtcl.scene.tint import Tints, colour_notes
 from prtcl.transport.pipeline import Pipelines, Points
 from prtcl.transport.settings import Settings, choose
 
 BATCH = 1 << 17
 """Sub-pixel points in flight: bounds the host's memory whatever the image's size."""
-MOST = 1024
-"""Points that an adaptive pixel may end with: 32 × 32."""
+MOST, MOST_HARD = 1024, 4096
+"""Points that an adaptive pixel may end with: 32 × 32 of soft light; 64 × 64 of hard light, whose glints on facets
+smaller than a pixel vary most, and whose points cost least."""
 
 PER_POINT = (
     "visibility_rays", "hard_light_rays", "environment_gather", "light_times_visibility", "haar_forward",
@@ -61,6 +63,10 @@ class Render:
         if png is not None:
             write_png(png, self.image, exposure)
 
+    def _repr_png_(self) -> bytes:
+        """What a notebook shows: the preview that `save` writes, at no exposure."""
+        return encode_png(self.image)
+
 
 def read_environment(
     source: Path | Environment | npt.NDArray[Any], *, rotate: float = 0.0, up: str = "y", repair: bool = False
@@ -89,7 +95,7 @@ class Scene:
     mesh : a `Mesh`, a path to OBJ, PLY, STL, GLB or glTF, or a `Bake` or a path to one (.npz)
     light : an `Environment`, a path to an EXR or HDR map, or an array (h, 2 h, 3)
     material : a SPEC (`prtcl.factors.material.FORMS`) or a `Material`; a list of one for each part of the mesh;
-        or None for the mesh's own glTF materials (lambert of albedo 0.5 where it names none)
+        or None for the mesh's own glTF materials and colours (lambert of albedo 0.5 where it has neither)
     camera : None frames the mesh
     device : None chooses one
     two_sided : seen from behind, a surface's normal is turned to the viewer
@@ -132,6 +138,8 @@ class Scene:
                 )
             self.materials, self._one_material = own, False
         self.notes += [note for m in self.materials for note in m.notes]
+        self.notes += colour_notes(self.materials, self.mesh)
+        self.tints = Tints(self.materials, self.mesh)
         self.camera = camera or Camera.framing(self.mesh.bounds)
         self.device = device or Device()
         self.two_sided = two_sided
@@ -159,7 +167,7 @@ class Scene:
         ----------
         points : "pixel" computes radiance at what each pixel sees; "vertex" at the mesh's vertices, between
             which it is interpolated. A bake always renders its vertices.
-        samples : N × N sub-pixel points a pixel; None adapts, from 2 × 2 up to 32 × 32
+        samples : N × N sub-pixel points a pixel; None adapts, from 2 × 2 up to 64 × 64
         progress : called with (points done, points known of so far), from worker threads
 
         Raises
@@ -180,8 +188,8 @@ class Scene:
         pipeline = Pipelines(
             self.device,
             self.environment,
-            self.materials,
-            [own for own, _ in self.settings],
+            self.tints.materials,
+            [self.settings[parent][0] for parent in self.tints.parent],
             polar=self.bake is None,
         )
         count = Counter(progress)
@@ -196,6 +204,10 @@ class Scene:
         report = self._report(pipeline, layers, count, vertex, rays, time.perf_counter() - start)
         return Render(self._develop(layers), report)
 
+    def _repr_png_(self) -> bytes:
+        """What a notebook shows: the image at 2 × 2 points a pixel."""
+        return self.render(samples=2)._repr_png_()
+
     def _layers(self, pipeline: Pipelines, count: Counter, vertex: bool) -> list[Layer]:
         """What is sampled on its own, and up to how many points a pixel.
 
@@ -209,7 +221,7 @@ class Scene:
         layers = [Layer(film, PixelShader(self, pipeline.soft, count, "soft"), FIRST, MOST)]
         if len(pipeline.light.hard):
             shader = PixelShader(self, pipeline.hard, count, "hard")
-            layers.append(Layer(Film(self.camera.size), shader, FIRST_HARD, MOST))
+            layers.append(Layer(Film(self.camera.size), shader, FIRST_HARD, MOST_HARD))
         return layers
 
     def _refine(self, layers: list[Layer]) -> None:
@@ -343,10 +355,12 @@ class Scene:
 
 
 def own_materials(mesh: Mesh) -> list[Material]:
-    """A material for every part of the mesh: its glTF metallic-roughness factors, or a grey Lambert."""
-    return [
-        Material.parse("lambert:albedo=0.5")
-        if part is None
-        else Material.from_metallic_roughness(part.base_color, part.metallic, part.roughness)
-        for part in mesh.materials
-    ]
+    """A material for every part of the mesh: its metallic-roughness factors, or a Lambert one, grey or coloured."""
+    out = []
+    for part, coloured in zip(mesh.materials, mesh.coloured, strict=True):
+        if part is None:
+            out.append(Material.parse("lambert:albedo=mesh" if coloured else "lambert:albedo=0.5"))
+        else:
+            factors = part.base_color, part.metallic, part.roughness
+            out.append(Material.from_metallic_roughness(*factors, mesh=bool(coloured)))
+    return out

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import time
-from collections import OrderedDict
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
@@ -21,15 +20,15 @@ from prtcl.factors.visibility import Progress, Tracer
 from prtcl.scene.bake import Bake
 from prtcl.scene.camera import Camera, Triple
 from prtcl.scene.mesh import Mesh, read_mesh
-from prtcl.scene.points import shoot, vertex_points
+from prtcl.scene.points import back_origins, vertex_points
 from prtcl.scene.scene import Path, Render, own_materials, read_environment
+from prtcl.scene.tint import BLACK, Tints, colour_notes
+from prtcl.scene.viewfinder import Viewfinder
 from prtcl.transport.edit import Dress, Relit
 
 ERROR = 0.01
 """What the cuts may leave out by default, relative."""
 HISTORY = 1000
-KEPT_VIEWS = 4
-"""Cameras whose hits are kept, so that an edit under a still camera shoots no ray."""
 
 
 @dataclass
@@ -47,11 +46,12 @@ class Work:
 
 
 @dataclass(frozen=True, eq=False)
-class _Seen:
-    """What a camera's rays hit: for every sub-pixel sample its pixels, their faces' corners and weights."""
+class _Outfit:
+    """Materials ready to shade with: under a white mesh, and what its colour does not multiply (`prtcl.scene.tint`)."""
 
-    samples: list[tuple[npt.NDArray[np.int64], npt.NDArray[np.int32], npt.NDArray[np.float32]]]
-    vertices: npt.NDArray[np.int32]
+    full: Dress
+    left: Dress | None
+    tints: Tints
 
 
 class Session:
@@ -66,11 +66,15 @@ class Session:
     mesh : a `Mesh`, a path to one, or a `Bake` or a path to one (.npz), whose visibility is then used
     light : an `Environment`, a path to an EXR or HDR map, or an array (h, 2 h, 3)
     material : a SPEC or a `Material` for the whole mesh; a list of one for each part; None takes the mesh's own
+    assignment : (n,) int, which of the listed materials each vertex wears, in place of the mesh's parts; between
+        vertices of different ones their radiance is interpolated
     camera : the first view; None frames the mesh
     device : None chooses one
     levels : light, visibility and their product live on 4**levels directions
     rays : levels of the visibility grid; None takes `levels`, or what the bake has
     error : relative error that the cuts may cost; 0 takes every sample (exact, slow)
+    two_sided : faces seen from behind are shaded on that side; a vertex stands on one side at a time, and is traced and
+        collapsed anew when a view sees the other
     smooth : replace normals by vertex normals averaged over the faces
 
     Attributes
@@ -91,10 +95,12 @@ class Session:
         material: str | Material | Sequence[str | Material] | None = None,
         camera: Camera | None = None,
         *,
+        assignment: npt.ArrayLike | None = None,
         device: Device | None = None,
         levels: int = 6,
         rays: int | None = None,
         error: float = ERROR,
+        two_sided: bool = True,
         smooth: bool = False,
     ) -> None:
         if not isinstance(mesh, Mesh | Bake):
@@ -111,18 +117,25 @@ class Session:
         self.notes = list(self.mesh.notes)
         self.last = Work()
         self._pending = Work()
-        self._seen: OrderedDict[tuple[Camera, int], _Seen] = OrderedDict()
         self._snapshots: dict[str, tuple[Material, ...]] = {}
         self._past: list[tuple[Material, ...]] = []
         self._future: list[tuple[Material, ...]] = []
-        self._dress: Dress | None = None
+        self._outfit: _Outfit | None = None
         self.tracer = Tracer(self.mesh.vertices, self.mesh.faces)
         rays = (levels if rays is None else rays) if bake is None else bake.rays
+        self._viewfinder = Viewfinder(self.mesh, self.tracer, two_sided)
+        points = vertex_points(self.mesh, self.tracer)
+        self._parts = len(self.mesh.materials)
+        if assignment is not None:
+            self._parts = 1 if material is None or isinstance(material, str | Material) else len(material)
+            points = replace(points, material=_checked_assignment(assignment, len(points), self._parts))
+            material = "lambert:albedo=0.5" if material is None else material
         self._relit = Relit(
-            self.device, self.tracer, self.mesh.vertices, vertex_points(self.mesh, self.tracer),
+            self.device, self.tracer, self.mesh.vertices, points, back_origins(self.mesh, self.tracer),
             max(levels, rays) if bake is not None else levels, rays, None if bake is None else bake.bits,
         )  # fmt: skip
         self._materials = self._for_parts(material)
+        self.notes += colour_notes(self._materials, self.mesh)
         self.error = error
         self.light = light
 
@@ -139,7 +152,7 @@ class Session:
         self.notes += notes
         with self._timed("light", self._pending):
             self._relit.set_light(environment)
-        self._light, self._dress = environment, None
+        self._light, self._outfit = environment, None
 
     def rotate_light(self, degrees: float) -> None:
         """Turn the light about its up axis to `degrees`, counter-clockwise seen from above."""
@@ -200,7 +213,7 @@ class Session:
     def error(self, error: float) -> None:
         if not 0.0 <= error < 1.0:
             raise InputError(f"error: expected from 0 to 1, got {error}")
-        self._error, self._dress = float(error), None
+        self._error, self._outfit = float(error), None
 
     # --- what is seen ---------------------------------------------------------------------------------------
 
@@ -227,17 +240,19 @@ class Session:
         if eye is not None:
             self.camera = replace(self.camera, eye=eye)
         work = self._begin()
-        seen = self._look(samples, work)
-        values = np.zeros((len(self.mesh.vertices), 3), dtype=np.float32)
-        values[seen.vertices] = self._shade(seen.vertices, self.camera.eye, work, progress)
+        seen = self._viewfinder.known(self.camera, samples)
+        if seen is None:
+            with self._timed("camera_rays", work):
+                seen = self._viewfinder.shoot(self.camera, samples)
+        full, left = self._shade(seen.vertices, seen.back, self.camera.eye, work, progress)
         with self._timed("image", work):
-            image = _develop(seen, values, self.camera.size)
+            image = self._viewfinder.develop(seen, full, left)
         self.last, settings = work, self._relit.settings
         report = {
             "device": self.device.name,
             "materials": [m.spec for m in self._materials],
             "settings": {"levels": settings.levels, "rays": settings.rays, "error": self._error},
-            "expected_error": self._dressed(work).error,
+            "expected_error": self._dressed(work).full.error,
             "seconds": dict(work.seconds),
             "points": dict(work.points),
             "notes": self.notes,
@@ -253,21 +268,30 @@ class Session:
 
         Returns
         -------
-        radiance : (k, 3) linear RGB; 0 where the eye is below a vertex's horizon
+        radiance : (k, 3) linear RGB on the side of the normals, the mesh's colour included; 0 where the eye is below
+            a vertex's horizon
         """
         count = len(self.mesh.vertices)
         chosen = np.arange(count) if vertices is None else np.asarray(vertices).ravel()
         if chosen.size and (chosen.min() < 0 or chosen.max() >= count):
             raise InputError(f"vertices: expected indices from 0 to {count - 1}")
         work = self._begin()
-        out = self._shade(chosen.astype(np.int32), eye, work, None)
+        front = np.zeros(len(chosen), dtype=np.bool_)
+        full, left = self._shade(chosen.astype(np.int32), front, eye, work, None)
         self.last = work
-        return out
+        return full if left is None else left + self.mesh.vertex_colour(chosen) * (full - left)
 
     def _shade(
-        self, vertices: npt.NDArray[np.int32], eye: Triple, work: Work, progress: Progress | None
-    ) -> npt.NDArray[np.float32]:
+        self,
+        vertices: npt.NDArray[np.int32],
+        back: npt.NDArray[np.bool_],
+        eye: Triple,
+        work: Work,
+        progress: Progress | None,
+    ) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32] | None]:
+        """Radiance (k, 3) of vertices under a white mesh, and what of it no colour multiplies, if any does."""
         relit = self._relit
+        relit.turn(vertices, back)
         stages: tuple[tuple[str, Callable[[], int]], ...] = (
             ("visibility", lambda: relit.trace(vertices, progress)),
             ("collapse", lambda: relit.collapse(vertices)),
@@ -277,44 +301,35 @@ class Session:
             count = run()
             if count:
                 work.seconds[stage], work.points[stage] = time.perf_counter() - start, count
-        dress = self._dressed(work)
+        outfit = self._dressed(work)
         with self._timed("shade", work):
             work.points["shade"] = len(vertices)
-            return relit.radiance(dress, eye, vertices)
+            full = relit.radiance(outfit.full, eye, vertices)
+            if not outfit.tints.tinted.any():
+                return full, None
+            own = relit.points.material[vertices]
+            left = np.where(outfit.tints.tinted[own][:, None], np.float32(0), full)
+            some = np.flatnonzero(outfit.tints.left[own] >= 0)
+            if outfit.left is not None and len(some):
+                left[some] = relit.radiance(outfit.left, eye, vertices[some])
+            return full, left
 
-    def _dressed(self, work: Work) -> Dress:
-        if self._dress is None:
+    def _dressed(self, work: Work) -> _Outfit:
+        if self._outfit is None:
             with self._timed("cuts", work):
-                self._dress = self._relit.dress(list(self._materials), self._error)
-        return self._dress
-
-    def _look(self, samples: int, work: Work) -> _Seen:
-        """What the camera sees, kept for the last few cameras."""
-        key = (self.camera, samples)
-        if key not in self._seen:
-            with self._timed("camera_rays", work):
-                self._seen[key] = self._shoot(samples)
-            if len(self._seen) > KEPT_VIEWS:
-                self._seen.popitem(last=False)
-        self._seen.move_to_end(key)
-        return self._seen[key]
-
-    def _shoot(self, samples: int) -> _Seen:
-        width, height = self.camera.size
-        pixels = np.arange(width * height)
-        needed = np.zeros(len(self.mesh.vertices), dtype=np.bool_)
-        found = []
-        for sub in range(samples**2):
-            hits = shoot(self.tracer, self.camera, pixels, np.full_like(pixels, sub))
-            corners = self.mesh.faces[hits.face]
-            needed[corners.ravel()] = True
-            found.append((hits.ray, corners, hits.barycentric.astype(np.float32)))
-        return _Seen(found, np.flatnonzero(needed).astype(np.int32))
+                tints = Tints(self._materials, self.mesh)
+                left = [tints.materials[i] if i >= 0 else BLACK for i in tints.left]
+                self._outfit = _Outfit(
+                    self._relit.dress(list(self._materials), self._error),
+                    self._relit.dress(left, self._error) if (tints.left >= 0).any() else None,
+                    tints,
+                )
+        return self._outfit
 
     # --- materials and their history ------------------------------------------------------------------------
 
     def _for_parts(self, material: str | Material | Sequence[str | Material] | None) -> tuple[Material, ...]:
-        parts = len(self.mesh.materials)
+        parts = self._parts
         if material is None:
             return tuple(own_materials(self.mesh))
         if isinstance(material, str | Material):
@@ -327,13 +342,13 @@ class Session:
         self._past.append(self._materials)
         del self._past[:-HISTORY]
         self._future.clear()
-        self._materials, self._dress = materials, None
+        self._materials, self._outfit = materials, None
 
     def _step(self, source: list[tuple[Material, ...]], target: list[tuple[Material, ...]]) -> bool:
         if not source:
             return False
         target.append(self._materials)
-        self._materials, self._dress = source.pop(), None
+        self._materials, self._outfit = source.pop(), None
         return True
 
     # --- time -----------------------------------------------------------------------------------------------
@@ -349,11 +364,21 @@ class Session:
         work.seconds[stage] = work.seconds.get(stage, 0.0) + time.perf_counter() - start
 
 
-def _develop(seen: _Seen, values: npt.NDArray[np.float32], size: tuple[int, int]) -> npt.NDArray[np.float32]:
-    """Vertex radiance interpolated over the faces that each sub-pixel point hit, averaged: (h, w, 4)."""
-    width, height = size
-    image = np.zeros((width * height, 4), dtype=np.float32)
-    for pixels, corners, weights in seen.samples:
-        image[pixels, :3] += np.einsum("kc,kcx->kx", weights, values[corners])
-        image[pixels, 3] += 1.0
-    return (image / np.float32(len(seen.samples))).reshape(height, width, 4)
+def _checked_assignment(given: npt.ArrayLike, vertices: int, materials: int) -> npt.NDArray[np.int32]:
+    """Material indices of all vertices.
+
+    Raises
+    ------
+    InputError
+        If there are not as many as vertices, or one is out of range.
+    """
+    array = np.asarray(given)
+    if array.shape != (vertices,) or array.dtype.kind not in "iu":
+        raise InputError(
+            f"assignment: expected {vertices} integers, one a vertex, got {array.dtype} of shape {array.shape}"
+        )
+    if array.size and not 0 <= array.min() <= array.max() < materials:
+        raise InputError(
+            f"assignment: expected from 0 to {materials - 1} for the {materials} materials listed, got {array.max()}"
+        )
+    return array.astype(np.int32)

@@ -11,7 +11,8 @@ import numpy.typing as npt
 
 from prtcl.scene.film import Film
 from prtcl.scene.points import Hits, pixel_points, vertex_points, with_eye
-from prtcl.transport.pipeline import Pipelines
+from prtcl.scene.tint import Rows
+from prtcl.transport.pipeline import Pipelines, Points
 
 if TYPE_CHECKING:
     from prtcl.scene.scene import Scene
@@ -63,8 +64,16 @@ class PixelShader:
     def __call__(self, hits: Hits, sub: npt.NDArray[np.int64]) -> Radiance:
         scene = self.scene
         points = pixel_points(scene.mesh, scene.tracer, hits, sub, scene.two_sided)
-        self.count.expect(self.stage, len(points))
-        return self.light(scene.tracer, scene.single_material(points), progress=self.count)
+
+        def shade(some: Points, _: Rows) -> Radiance:
+            self.count.expect(self.stage, len(some))
+            return self.light(scene.tracer, some, progress=self.count)
+
+        return scene.tints.radiance(
+            shade,
+            scene.single_material(points),
+            lambda at: scene.mesh.base_colour(hits.face[at], hits.barycentric[at]),
+        )
 
 
 class VertexShader:
@@ -83,7 +92,6 @@ class VertexShader:
 
     def _shade(self, vertices: npt.NDArray[np.integer]) -> None:
         scene = self.scene
-        self.count.expect("vertex", len(vertices))
         bits = None
         if scene.bake is None:
             points = vertex_points(scene.mesh, scene.tracer, scene.camera.eye, vertices)
@@ -91,7 +99,15 @@ class VertexShader:
             points = vertex_points(scene.mesh, scene.tracer, None, vertices)
             points = with_eye(points, scene.mesh.vertices[vertices], scene.camera.eye)
             bits = scene.bake.bits[vertices]
-        self._radiance[vertices] = self.pipeline.radiance(
-            scene.tracer, scene.single_material(points), bits, progress=self.count
+
+        def shade(some: Points, at: Rows) -> Radiance:
+            self.count.expect("vertex", len(some))
+            own = None if bits is None else bits[at]
+            return self.pipeline.radiance(scene.tracer, some, own, progress=self.count)
+
+        self._radiance[vertices] = scene.tints.radiance(
+            shade,
+            scene.single_material(points),
+            lambda at: scene.mesh.vertex_colour(vertices[at]),
         )
         self._known[vertices] = True

@@ -42,7 +42,8 @@ def run(options: argparse.Namespace) -> int:
     mesh, bake = read(options)
     looks = starting_looks(mesh, options.brdf)
     studio = Studio(
-        mesh, environments, Device(options.device), bake=bake, levels=options.levels, rays=RAYS if options.rays is None else options.rays,
+        mesh, environments, Device(options.device), bake=bake, levels=options.levels,
+        rays=RAYS if options.rays is None else options.rays,
         error=options.error, size=options.size, up=options.env_up, repair=options.repair,
     )  # fmt: skip
     first = next(iter(environments))
