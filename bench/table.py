@@ -39,6 +39,37 @@ def mitsuba() -> None:
             )
 
 
+def editing() -> None:
+    """Frame time and error of a session's materials."""
+    path = RESULTS / "editing.json"
+    if path.is_file():
+        data = json.loads(path.read_text(encoding="utf-8"))
+        print("\n| material | a frame | frames/s | leaves, nodes | error of the cuts | whole error |")
+        print("|---|---|---|---|---|---|")
+        for row in data["rows"]:
+            stages = " + ".join(f"{ms:.1f}" for ms in row["device_ms"].values())
+            print(
+                f"| `{row['material']}` | {row['milliseconds']:.0f} ms ({stages}) | {row['frames_per_second']:.0f} | "
+                f"{row['leaves']:.0f}, {row['hard_nodes']} | {100 * row['cut_error']:.2f} % | "
+                f"{100 * row['error']:.2f} % |"
+            )
+        print(
+            f"\n{data['mesh']}, {data['vertices']} vertices, {data['shaded']} points shaded, {data['environment']}, "
+            f"{data['device']}; once: {data['once_seconds']}\n"
+        )
+
+
+def browser() -> None:
+    """What a browser gets of the viewer."""
+    path = RESULTS / "browser.json"
+    if path.is_file():
+        data = json.loads(path.read_text(encoding="utf-8"))
+        for name, row in data["rows"].items():
+            print(f"{name}: " + ", ".join(f"{key} {value:.1f}" for key, value in row.items()))
+
+
 if __name__ == "__main__":
     accuracy()
     mitsuba()
+    editing()
+    browser()

@@ -14,6 +14,8 @@ from prtcl.errors import InputError
 from prtcl.files.npz import read_npz
 
 KINDS = ("lambert", "ggx-conductor", "ggx-schlick", "blinn", "table")
+COLOURED_CONDUCTOR = 5
+"""Bit of a kernel's KINDS beside those of the kinds (kernels/brdf.clh)."""
 N_INTS, N_REALS = 4, 12
 """Lengths of a material's rows on the device (kernels/brdf.clh)."""
 

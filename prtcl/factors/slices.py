@@ -14,7 +14,7 @@ from prtcl import quadtree
 from prtcl.compute.device import Device
 from prtcl.errors import InputError
 from prtcl.factors import hemisphere
-from prtcl.factors.material import KINDS, Material, pack
+from prtcl.factors.material import COLOURED_CONDUCTOR, KINDS, Material, pack
 from prtcl.wavelet import haar
 
 GROUP = 64
@@ -45,6 +45,8 @@ class Materials:
         self.ints = device.array(ints, np.int32)
         self.reals, self.tables = device.array(reals), device.array(tables)
         self.mask = int(np.bitwise_or.reduce([1 << KINDS.index(m.kind) for m in materials]))
+        if any(m.kind == "ggx-conductor" and not m.grey for m in materials):
+            self.mask |= 1 << COLOURED_CONDUCTOR
         self.channels = 1 if all(m.grey for m in materials) else 3
 
     @property
