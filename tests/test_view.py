@@ -65,6 +65,10 @@ def test_presets_are_materials_within_the_sliders(name: str) -> None:
         ("ggx:alpha=0.3,f0=0.04,kd=0.5", "dielectric"),
         ("ggx:alpha=0.001,f0=0.04,kd=0.5", "as given"),
         ("blinn:exponent=50,ks=0.2,kd=0.3", "blinn"),
+        ("lambert:albedo=0.5*mesh", "lambert"),
+        ("ggx:alpha=0.3,f0=0.04,kd=mesh", "dielectric"),
+        ("ggx:alpha=0.3,f0=0.9*mesh", "as given"),
+        ("gltf:base=mesh,roughness=0.5,metallic=0.4", "as given"),
     ],
 )
 def test_a_look_keeps_the_material_it_is_made_of(spec: str, kind: str) -> None:
@@ -72,6 +76,7 @@ def test_a_look_keeps_the_material_it_is_made_of(spec: str, kind: str) -> None:
     assert look.kind == kind
     assert look.cleaned() == look
     a, b = look.material.reference(), Material.parse(spec).reference()
+    assert look.material.tints == Material.parse(spec).tints
     for name, value in b.items():
         if isinstance(value, int | float | tuple | list | np.ndarray):
             assert np.allclose(a[name], value, rtol=1e-3), name

@@ -7,11 +7,11 @@ import json
 import sys
 from pathlib import Path
 
+from prtcl.apps.bake_options import is_bake, read_bake
 from prtcl.apps.progress import bar
 from prtcl.compute.device import Device
 from prtcl.errors import InputError
 from prtcl.files.atomic import check_not_input, check_writable
-from prtcl.scene.bake import Bake
 from prtcl.scene.camera import Camera
 from prtcl.scene.scene import Render, Scene, read_environment
 
@@ -28,7 +28,11 @@ def run(options: argparse.Namespace) -> int:
     for path in filter(None, (options.output, preview)):
         check_writable(path)
         check_not_input(path, options.mesh, options.env)
-    mesh = _read_bake(options) if options.mesh.lower().endswith(".npz") else options.mesh
+    if is_bake(options.mesh) and options.points == "pixel":
+        raise InputError(
+            f"--points pixel: {options.mesh} holds the rays of vertices, not of pixels; render the mesh it was made of"
+        )
+    mesh = read_bake(options.mesh, options.rays, options.smooth) if is_bake(options.mesh) else options.mesh
     device = Device(options.device, precision=options.precision)
     environment, notes = read_environment(
         options.env, rotate=options.env_rotate, up=options.env_up, repair=options.repair
@@ -60,30 +64,6 @@ def run(options: argparse.Namespace) -> int:
     if options.explain:
         print(explain(render), file=sys.stderr if options.json else sys.stdout)
     return 0
-
-
-def _read_bake(options: argparse.Namespace) -> Bake:
-    """The bake that `options` name, unless they also ask for what was decided when it was made.
-
-    Raises
-    ------
-    InputError
-        If the bake cannot be read, or an option asks for other points, rays or normals than its own.
-    """
-    bake = Bake.load(options.mesh)
-    if options.points == "pixel":
-        raise InputError(
-            f"--points pixel: {options.mesh} holds the rays of vertices, not of pixels; render the mesh it was made of"
-        )
-    if options.rays not in (None, bake.rays):
-        raise InputError(
-            f"--rays {options.rays}: {options.mesh} was traced with {bake.rays}; bake again with --rays {options.rays}"
-        )
-    if options.smooth:
-        raise InputError(
-            f"--smooth: {options.mesh} keeps the normals it was traced with; bake again with --smooth"
-        )
-    return bake
 
 
 def summary(render: Render, output: str) -> str:

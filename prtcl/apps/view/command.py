@@ -12,6 +12,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
+from prtcl.apps.bake_options import is_bake, read_bake
 from prtcl.apps.progress import bar
 from prtcl.apps.view import web
 from prtcl.apps.view.look import Look
@@ -56,10 +57,10 @@ def run(options: argparse.Namespace) -> int:
     loop = Loop(studio)
     try:
         web.check_viser(server)
-        names = tuple(environments)
+        names, coloured = tuple(environments), bool(mesh.coloured.any())
         seat_pages(
             server, options.host, loop,
-            lambda client: Page(client, loop, looks, part_names(mesh), names, options.env_rotate, folder),
+            lambda client: Page(client, loop, looks, part_names(mesh), names, options.env_rotate, folder, coloured),
         )  # fmt: skip
         at = web.url(options.host, server.get_port())
         if not options.quiet:
@@ -158,19 +159,11 @@ def read(options: argparse.Namespace) -> tuple[Mesh, Bake | None]:
     InputError
         If it cannot be read, or --rays or --smooth ask for what a bake has decided.
     """
-    if not options.mesh.lower().endswith(".npz"):
-        mesh = read_mesh(options.mesh)
-        return (mesh.smooth() if options.smooth or mesh.normals is None else mesh), None
-    bake = Bake.load(options.mesh)
-    if options.rays not in (None, bake.rays):
-        raise InputError(
-            f"--rays {options.rays}: {options.mesh} was traced with {bake.rays}; bake again with --rays {options.rays}"
-        )
-    if options.smooth:
-        raise InputError(
-            f"--smooth: {options.mesh} keeps the normals it was traced with; bake again with --smooth"
-        )
-    return bake.mesh, bake
+    if is_bake(options.mesh):
+        bake = read_bake(options.mesh, options.rays, options.smooth)
+        return bake.mesh, bake
+    mesh = read_mesh(options.mesh)
+    return (mesh.smooth() if options.smooth or mesh.normals is None else mesh), None
 
 
 def starting_looks(mesh: Mesh, brdf: str | None) -> tuple[Look, ...]:

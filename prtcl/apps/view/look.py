@@ -21,6 +21,9 @@ MERGE = 1.0
 """Seconds: changes by one control that follow each other within them are one step of the history."""
 
 
+_COLOUR_OF = {"lambert": "albedo", "ggx-schlick": "kd", "blinn": "kd"}
+
+
 @dataclass(frozen=True)
 class Look:
     """One part's material.
@@ -31,6 +34,7 @@ class Look:
     colour : linear; albedo, reflectance at normal incidence of a metal, or what lies under a coat
     alpha : GGX roughness; Blinn's exponent is the one that corresponds to it
     specular : reflectance at normal incidence of a dielectric, ks of blinn
+    painted : the mesh's own colour multiplies this one
     given : what "as given" means: the material of the command line or of the mesh
     """
 
@@ -39,12 +43,18 @@ class Look:
     alpha: float = 0.3
     specular: float = 0.04
     given: Material | None = None
+    painted: bool = False
 
     @classmethod
     def of(cls, material: Material) -> Look:
         """A look that shows just this material, on sliders where they reach it."""
         numbers = material.numbers
         at = cls("as given", given=material)
+        if material.tints:
+            parameter, painted = _COLOUR_OF.get(material.kind, ""), replace(at, painted=True)
+            if material.tints != {parameter: (1.0, 1.0, 1.0)}:
+                return painted  # such as glTF's, whose metals are tinted twice
+            return replace(cls.of(replace(material, tints={})), painted=True, given=material)
         if material.kind == "lambert":
             return replace(at, kind="lambert", colour=numbers["albedo"])
         if material.kind == "ggx-conductor":
@@ -80,7 +90,7 @@ class Look:
     @property
     def spec(self) -> str:
         """The SPEC that `--brdf` takes."""
-        colour = "/".join(f"{value:.4g}" for value in self.colour)
+        colour = "/".join(f"{value:.4g}" for value in self.colour) + ("*mesh" if self.painted else "")
         if self.kind == "as given" and self.given is not None:
             return self.given.spec
         if self.kind == "metal":

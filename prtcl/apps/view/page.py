@@ -33,22 +33,23 @@ class Page:
     looks : the materials it starts with, one for each of `parts`
     environments : names, the first is shown first
     folder : where it saves
+    coloured : whether the mesh has colours of its own
     """
 
     def __init__(
         self, client: Any, loop: Loop, looks: tuple[Look, ...], parts: tuple[str, ...],
-        environments: tuple[str, ...], rotate: float, folder: Path,
+        environments: tuple[str, ...], rotate: float, folder: Path, coloured: bool,
     ) -> None:  # fmt: skip
         self.client, self.loop, self.parts, self.folder = client, loop, parts, folder
         self.history, self._environments = History(), environments
         state = State(eye_of(client.camera), looks, environments[0], rotate % 360.0)
-        self._build(state)
+        self._build(state, coloured)
         self.seat = loop.join(state, self._deliver, self._tell)
         client.camera.on_update(self._moved)
 
     # --- the panel ------------------------------------------------------------------------------------------
 
-    def _build(self, state: State) -> None:
+    def _build(self, state: State, coloured: bool) -> None:
         gui, look = self.client.gui, state.looks[0]
         self.notice = gui.add_markdown("Starting …")
         self.status = gui.add_markdown("")
@@ -58,6 +59,12 @@ class Page:
             kinds = KINDS if any(one.given for one in state.looks) else KINDS[:-1]
             self.kind = gui.add_dropdown("Kind", kinds, initial_value=look.kind)
             self.colour = gui.add_rgb("Colour", picked_colour(look.colour))
+            self.painted = gui.add_checkbox(
+                "Mesh's colours",
+                look.painted,
+                visible=coloured,
+                hint="vertex colours and textures times this colour",
+            )
             low, high = (math.sqrt(value) for value in ALPHA)
             self.roughness = gui.add_slider(
                 "Roughness",
@@ -83,10 +90,11 @@ class Page:
             self.save = gui.add_button_group("Save", ("Image", "Material"))
             self.download = gui.add_checkbox("Download as well", False)
         self._show(look)
+        looks = self.kind, self.colour, self.painted, self.roughness, self.specular
         for control, handler in (
             (self.part, self._chosen_part), (self.preset, self._chosen_preset), (self.environment, self._lit),
             (self.rotate, self._lit), (self.exposure, self._lit),
-            *((control, self._dressed(control)) for control in (self.kind, self.colour, self.roughness, self.specular)),
+            *((control, self._dressed(control)) for control in looks),
         ):  # fmt: skip
             control.on_update(_from_page(handler))
         self.step.on_click(_from_page(self._stepped))
@@ -99,6 +107,7 @@ class Page:
     def _show(self, look: Look) -> None:
         """Bring the sliders to a look; those that do not matter to its kind are greyed out."""
         self.kind.value, self.colour.value = look.kind, picked_colour(look.colour)
+        self.painted.value, self.painted.disabled = look.painted, look.kind == "as given"
         self.roughness.value, self.specular.value = math.sqrt(look.alpha), look.specular
         self.preset.value = next((name for name, one in PRESETS.items() if one.spec == look.spec), CUSTOM)
         self.roughness.disabled = look.kind in ("lambert", "as given")
@@ -121,6 +130,8 @@ class Page:
                 look = replace(before, kind=str(control.value))
             elif control is self.colour:
                 look = replace(before, colour=linear_colour(control.value))
+            elif control is self.painted:
+                look = replace(before, painted=bool(control.value))
             elif control is self.roughness:
                 look = replace(before, alpha=_square(control.value))
             else:
