@@ -104,15 +104,25 @@ class Page:
     def _part(self) -> int:
         return self.parts.index(self.part.value) if self.part.value in self.parts else 0
 
-    def _show(self, look: Look) -> None:
-        """Bring the sliders to a look; those that do not matter to its kind are greyed out."""
-        self.kind.value, self.colour.value = look.kind, picked_colour(look.colour)
-        self.painted.value, self.painted.disabled = look.painted, look.kind == "as given"
-        self.roughness.value, self.specular.value = math.sqrt(look.alpha), look.specular
-        self.preset.value = next((name for name, one in PRESETS.items() if one.spec == look.spec), CUSTOM)
-        self.roughness.disabled = look.kind in ("lambert", "as given")
-        self.specular.disabled = look.kind not in ("dielectric", "blinn")
-        self.colour.disabled = look.kind == "as given"
+    def _show(self, look: Look, touched: Any = None) -> None:
+        """Bring the controls to a look; those that do not matter to its kind are greyed out.
+
+        The one that is being `touched` is left alone: what comes back to it late would make it jump under the hand.
+        """
+        preset = next((name for name, one in PRESETS.items() if one.spec == look.spec), CUSTOM)
+        for control, value in (
+            (self.kind, look.kind), (self.colour, picked_colour(look.colour)), (self.painted, look.painted),
+            (self.roughness, math.sqrt(look.alpha)), (self.specular, look.specular), (self.preset, preset),
+        ):  # fmt: skip
+            if control is not touched and control.value != value:
+                control.value = value
+        given = look.kind == "as given"
+        for control, off in (
+            (self.colour, given), (self.painted, given), (self.roughness, given or look.kind == "lambert"),
+            (self.specular, look.kind not in ("dielectric", "blinn")),
+        ):  # fmt: skip
+            if control.disabled != off:
+                control.disabled = off
 
     def _chosen_part(self) -> None:
         self._show(self.seat.state.looks[self._part])
@@ -146,7 +156,7 @@ class Page:
         if looks != before:
             self.history.record(before, control, time.monotonic())
             self.loop.update(self.seat, lambda state: replace(state, looks=looks))
-        self._show(look)
+        self._show(look, control)
 
     def _stepped(self) -> None:
         step = self.history.redo if self.step.value == "Redo" else self.history.undo
