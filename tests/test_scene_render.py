@@ -585,7 +585,8 @@ def test_the_same_scene_gives_the_same_bits(device: Device, points: str) -> None
 
 def test_the_report_says_what_was_done(device: Device, tmp_path: Path) -> None:
     seen: list[tuple[int, int]] = []
-    scene = Scene(torus(), Environment(sun_map(128) + smooth_map(128)), GOLD, VIEW, device=device)
+    light = Environment(sun_map(128) + smooth_map(128))
+    scene = Scene(torus(), light, GOLD, VIEW, device=device, visibility="every")
     made = scene.render(samples=1, progress=lambda done, known: seen.append((done, known)))
     report = json.loads(json.dumps(made.report))
     assert report.keys() == {
@@ -604,6 +605,9 @@ def test_the_report_says_what_was_done(device: Device, tmp_path: Path) -> None:
     # Hard samples below a point's horizon are not traced: some, but not all.
     hard = report["rays"] - count * 4 ** settings["rays"]
     assert 0 < hard < count * report["light"]["hard_samples"]
+    fewer = Scene(torus(), light, GOLD, VIEW, device=device).render(samples=1)
+    assert fewer.report["rays"] < 0.7 * report["rays"]
+    assert relative_rmse(fewer.image, made.image) < 0.003
     seconds = report["seconds"]
     assert seconds["total"] > 0 and all(0 <= value <= seconds["total"] for value in seconds.values())
     assert {"visibility_rays", "hard_light_rays", "inner_product"} <= seconds.keys()
@@ -618,7 +622,7 @@ def test_the_report_says_what_was_done(device: Device, tmp_path: Path) -> None:
 def test_the_report_of_mixed_materials(device: Device) -> None:
     """Rays as each material's points take them, and the bytes of the hungriest pipeline, whichever comes last."""
     specs = ["ggx:alpha=0.1,f0=0.5", "lambert:albedo=0.9", "lambert:albedo=0.4"]
-    scene = Scene(halves(), Environment.constant(), specs, VIEW, device=device)
+    scene = Scene(halves(), Environment.constant(), specs, VIEW, device=device, visibility="every")
     sharp, matt = (own for own, _ in dict(scene.settings).items())
     assert sharp.rays > matt.rays and sharp.keep > matt.keep
     report = scene.render(samples=1).report

@@ -249,6 +249,9 @@ def _scene(command: argparse.ArgumentParser) -> None:
         "--method", choices=("auto", "pixel", "tree"), help="how light and visibility are multiplied"
     )
     fine.add_argument("--hard-light", choices=("auto", "off"), help="take the light's peaks out of the map")
+    fine.add_argument(
+        "--visibility", choices=("adaptive", "every"), help="rays where neighbours disagree, or all of them"
+    )
     fine.add_argument("--precision", choices=("float32", "mixed", "float64"), default="float32")
     command.add_argument("--explain", action="store_true", help="what was chosen and why")
 

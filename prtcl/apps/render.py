@@ -40,7 +40,7 @@ def run(options: argparse.Namespace) -> int:
     scene = Scene(
         mesh, environment, options.brdf, device=device, two_sided=not options.one_sided,
         smooth=options.smooth, levels=options.levels, rays=options.rays, keep=options.keep, views=options.views,
-        method=options.method, hard=options.hard_light,
+        method=options.method, hard=options.hard_light, visibility=options.visibility,
     )  # fmt: skip
     scene.notes += notes
     default_up = (0.0, 0.0, 1.0) if options.env_up == "z" else (0.0, 1.0, 0.0)

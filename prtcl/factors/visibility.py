@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from prtcl import quadtree
-from prtcl.factors import hemisphere
+from prtcl.factors import hemisphere, refine
 
 OFFSET = 4 * 2.0**-24
 """Length by which ray origins leave the surface, in units of the surface's `reach`; about 1.2e-7 of the unit sphere on
@@ -141,16 +141,19 @@ class Tracer:
         levels: int,
         grid: npt.NDArray[np.int32] | None = None,
         progress: Progress | None = None,
+        *,
+        every: bool = False,
     ) -> npt.NDArray[np.uint32]:
-        """Visibility bits of points, one ray a cell of their hemisphere.
+        """Visibility bits of points, at one place in each cell of their hemisphere.
 
         Parameters
         ----------
         origins : (n, 3) float32, as `origins()` gives them
         frames : (n, 3, 3) float32: tangent, bitangent, normal as rows
-        levels : of the hemisphere grid: 4**levels rays a point
+        levels : of the hemisphere grid: 4**levels cells
         grid : (n,) int32, which `hemisphere.cell_offset` each point's rays take; None is the cell's centre
         progress : called with the number of points done, from worker threads
+        every : trace all cells; otherwise, from 4**5 cells on, those alone that `refine` needs
 
         Returns
         -------
@@ -169,9 +172,19 @@ class Tracer:
                 if grid is None
                 else np.stack([tables[int(index)] for index in grid[part]])
             )
-            world = np.matmul(local, frames[part]).reshape(-1, 3)
-            hidden = self.occluded(np.repeat(origins[part], count, axis=0), world)
-            bits[part] = _pack(~hidden.reshape(-1, count), words)
+            world, own = np.matmul(local, frames[part]), origins[part]
+            if every or levels < refine.FROM:
+                hidden = self.occluded(np.repeat(own, count, axis=0), world.reshape(-1, 3))
+                seen = ~hidden.reshape(-1, count)
+            else:
+                rays = world.reshape(-1, 3)
+                seen = refine.visibility(
+                    len(own), levels,
+                    lambda point, sample: ~self.occluded(
+                        np.take(own, point, axis=0), np.take(rays, point * count + sample, axis=0)
+                    ),
+                )  # fmt: skip
+            bits[part] = _pack(seen, words)
             if progress is not None:
                 progress(part.stop - part.start)
 

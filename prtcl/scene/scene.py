@@ -100,7 +100,7 @@ class Scene:
     device : None chooses one
     two_sided : seen from behind, a surface's normal is turned to the viewer
     smooth : replace normals by vertex normals averaged over the faces
-    **settings : `Settings` fixed by hand: levels, rays, keep, views, method, hard
+    **settings : `Settings` fixed by hand: levels, rays, keep, views, method, hard, visibility
 
     Examples
     --------

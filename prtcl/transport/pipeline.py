@@ -113,8 +113,9 @@ class Pipeline:
         """Visibility bits of the points at `settings.rays`: (n, words) uint32."""
         with self.device.profile.host("visibility_rays"):
             return tracer.visibility(
-                points.origins, points.frames, self.settings.rays, points.grid, progress=progress
-            )
+                points.origins, points.frames, self.settings.rays, points.grid, progress=progress,
+                every=self.settings.visibility == "every",
+            )  # fmt: skip
 
     def soft(
         self, tracer: Tracer, points: Points, bits: npt.NDArray[np.uint32] | None = None,

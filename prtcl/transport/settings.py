@@ -10,6 +10,7 @@ from prtcl.factors.material import Material
 
 METHODS = ("auto", "pixel", "tree")
 HARD = ("auto", "off")
+VISIBILITY = ("adaptive", "every")
 
 
 @dataclass(frozen=True)
@@ -26,6 +27,7 @@ class Settings:
     method : the product in the "pixel" domain or through the "tree"; "auto" takes the pixel domain, which was
         faster on dense light on PoCL, the one device measured (bench/reduce.py), and is the better conditioned one
     hard : "auto" takes hard light out of the map, "off" leaves it in
+    visibility : "adaptive" traces rays where neighbours disagree (`prtcl.factors.refine`), "every" traces all
     pixel_error : relative RMSE over the image that adaptive sub-pixel points aim at, by an estimate on the safe
         side (stratified points err less than it assumes)
     """
@@ -36,6 +38,7 @@ class Settings:
     views: int = 128
     method: str = "auto"
     hard: str = "auto"
+    visibility: str = "adaptive"
     pixel_error: float = 0.007
 
     def __post_init__(self) -> None:
@@ -51,6 +54,8 @@ class Settings:
             raise InputError(f"method: expected one of {', '.join(METHODS)}, got {self.method!r}")
         if self.hard not in HARD:
             raise InputError(f"hard-light: expected one of {', '.join(HARD)}, got {self.hard!r}")
+        if self.visibility not in VISIBILITY:
+            raise InputError(f"visibility: expected one of {', '.join(VISIBILITY)}, got {self.visibility!r}")
 
     @property
     def tree(self) -> bool:
