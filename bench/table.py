@@ -59,6 +59,22 @@ def editing() -> None:
         )
 
 
+def visibility() -> None:
+    """Rays saved, and what that costs."""
+    path = RESULTS / "visibility.json"
+    if path.is_file():
+        data = json.loads(path.read_text(encoding="utf-8"))
+        print(
+            "\n| mesh | cells | every ray, of bare embree | rays traced | wrong bits | times as fast | points/s |"
+        )
+        print("|---|---|---|---|---|---|---|")
+        for row in data["rows"]:
+            print(
+                f"| {row['mesh']} | {row['cells']} | {100 * row['every_of_bare']:.0f} % | 1/{row['rays_saved']:.1f} | "
+                f"{100 * row['wrong_bits']:.3f} % | {row['times_faster']:.1f} | {row['points_per_second']:,.0f} |"
+            )
+
+
 def browser() -> None:
     """What a browser gets of the viewer."""
     path = RESULTS / "browser.json"
@@ -72,4 +88,5 @@ if __name__ == "__main__":
     accuracy()
     mitsuba()
     editing()
+    visibility()
     browser()
