@@ -142,7 +142,14 @@ void local_views(const global REAL *restrict positions, const global REAL *restr
         return;
     const int point = chosen[item];
     const global REAL *p = positions + 3 * (size_t)point, *f = frames + 9 * (size_t)point;
-    const REAL x = eye_x - p[0], y = eye_y - p[1], z = eye_z - p[2];
+    REAL x = eye_x - p[0], y = eye_y - p[1], z = eye_z - p[2];
+    // Scaled first: squares of large or small differences leave float32.
+    const REAL most = fmax(fmax(fabs(x), fabs(y)), fabs(z));
+    if (most > (REAL)0) {
+        x /= most;
+        y /= most;
+        z /= most;
+    }
     const REAL a = x * f[0] + y * f[1] + z * f[2], b = x * f[3] + y * f[4] + z * f[5];
     const REAL c = x * f[6] + y * f[7] + z * f[8];
     const REAL length = sqrt(a * a + b * b + c * c);

@@ -432,6 +432,11 @@ def files(tmp_path: Path) -> Path:
         (["m.npz", "--smooth"], "bake again with --smooth"),
         (["m.obj", "--host", "no.such.host.invalid"], "cannot listen there"),
         (["m.obj", "-o", "sky.exr"], "expected a folder to save into"),
+        (["m.obj", "--error", "2"], "--error: expected 0 or more and below 1"),
+        (["m.obj", "--levels", "12"], "--levels: expected 1 to"),
+        (["m.obj", "--levels", "0"], "--levels: expected 1 to"),
+        (["m.obj", "--levels", "4", "--rays", "5"], "--rays: expected 1 to 4"),
+        (["m.obj", "--env-rotate", "nan"], "--env-rotate: expected degrees"),
     ],
 )
 def test_mistakes_are_told_in_two_lines(

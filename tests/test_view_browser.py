@@ -200,6 +200,16 @@ def test_the_camera_orbits(tab: Tab) -> None:
     tab.page.mouse.up()
     tab.rest()
     assert changed(tab.picture(), first) > 1.0
+    # Over the top and over the bottom, where the eye stands on the axis it orbits.
+    for far in (620, 10):
+        before = tab.picture()
+        tab.page.mouse.move(250, 300)
+        tab.page.mouse.down()
+        tab.page.mouse.move(250, far, steps=8)
+        tab.page.mouse.up()
+        tab.rest()
+        assert changed(tab.picture(), before) > 1.0
+        assert "choose another" not in tab.page.inner_text("body")
 
 
 def test_browsers_do_not_disturb_one_another(tab: Tab, chromium: Any, served: tuple[str, Path]) -> None:

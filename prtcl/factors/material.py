@@ -97,7 +97,7 @@ class Material:
                 raise InputError(f"brdf {spec}: {parameter} is missing\nforms: {FORMS}")
             if text is not None and parameter in _COLOURS and (text == MESH or text.endswith("*" + MESH)):
                 tinted.append(parameter)
-                text = text[: -len(MESH) - 1] or "1"
+                text = "1" if text == MESH else text[: -len(MESH) - 1]
             value = (default,) * 3 if text is None else _number(spec, parameter, text)
             if not all(math.isfinite(v) and low <= v <= high for v in value):  # type: ignore[arg-type, operator]
                 raise InputError(f"brdf {spec}: {parameter} expected from {low:g} to {high:g}, got {text}")

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from prtcl import quadtree
 from prtcl.compute.device import Device
 from prtcl.errors import InputError
 from prtcl.factors.environment import Environment
@@ -23,7 +24,7 @@ from prtcl.scene.mesh import Mesh, read_mesh
 from prtcl.scene.points import back_origins, vertex_points
 from prtcl.scene.scene import Path, Render, own_materials, read_environment
 from prtcl.scene.tint import BLACK, Tints, colour_notes
-from prtcl.scene.viewfinder import Viewfinder
+from prtcl.scene.viewfinder import Seen, Viewfinder
 from prtcl.transport.edit import Dress, Relit
 
 ERROR = 0.01
@@ -123,6 +124,10 @@ class Session:
         self._outfit: _Outfit | None = None
         self.tracer = Tracer(self.mesh.vertices, self.mesh.faces)
         rays = (levels if rays is None else rays) if bake is None else bake.rays
+        if not isinstance(levels, int) or not 1 <= levels <= quadtree.MAX_LEVELS:
+            raise InputError(f"levels: expected 1 to {quadtree.MAX_LEVELS}, got {levels}")
+        if bake is None and not (isinstance(rays, int) and 1 <= rays <= levels):
+            raise InputError(f"rays: expected 1 to {levels}, at most levels, got {rays}")
         self._viewfinder = Viewfinder(self.mesh, self.tracer, two_sided)
         points = vertex_points(self.mesh, self.tracer)
         self._parts = len(self.mesh.materials)
@@ -212,7 +217,7 @@ class Session:
     @error.setter
     def error(self, error: float) -> None:
         if not 0.0 <= error < 1.0:
-            raise InputError(f"error: expected from 0 to 1, got {error}")
+            raise InputError(f"error: expected 0 or more and below 1, got {error}")
         self._error, self._outfit = float(error), None
 
     # --- what is seen ---------------------------------------------------------------------------------------
@@ -232,18 +237,16 @@ class Session:
 
         Returns
         -------
-        render : its report has `seconds` and `points` as `last` has them, and `expected_error` of the cuts
+        render : its report has `seconds` and `points` as `last` has them, and `expected_error`: of the soft light's
+            cuts under a white mesh, as measured at a sample of the vertices
         """
-        if not 1 <= samples <= 16:
+        if not isinstance(samples, int) or not 1 <= samples <= 16:
             raise InputError(f"samples: expected 1 to 16 points along a pixel's side, got {samples}")
         self.camera = camera or self.camera
         if eye is not None:
             self.camera = replace(self.camera, eye=eye)
         work = self._begin()
-        seen = self._viewfinder.known(self.camera, samples)
-        if seen is None:
-            with self._timed("camera_rays", work):
-                seen = self._viewfinder.shoot(self.camera, samples)
+        seen = self._look(samples, work)
         full, left = self._shade(seen.vertices, seen.back, self.camera.eye, work, progress)
         with self._timed("image", work):
             image = self._viewfinder.develop(seen, full, left)
@@ -259,6 +262,42 @@ class Session:
         }  # fmt: skip
         return Render(image, report)
 
+    def _look(self, samples: int, work: Work) -> Seen:
+        seen = self._viewfinder.known(self.camera, samples)
+        if seen is None:
+            with self._timed("camera_rays", work):
+                seen = self._viewfinder.shoot(self.camera, samples)
+        return seen
+
+    def _repr_png_(self) -> bytes:
+        """What a notebook shows: the view as it is now."""
+        return self.view(samples=2)._repr_png_()
+
+    def waiting(
+        self, camera: Camera, samples: int = 1
+    ) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.bool_]]:
+        """What a view of a camera would have to trace or collapse: vertices (k,), and on which side, True for the back.
+
+        The camera becomes the session's, and what it sees is kept for the view.
+        """
+        self.camera = camera
+        seen = self._look(samples, self._pending)
+        which = self._relit.waiting(seen.vertices, seen.back)
+        return seen.vertices[which], seen.back[which]
+
+    @property
+    def collapsed(self) -> npt.NDArray[np.bool_]:
+        """(n,) which vertices are traced and collapsed, on the side that was last seen."""
+        return self._relit.collapsed.copy()
+
+    def prepare(self, vertices: npt.NDArray[np.integer], back: npt.NDArray[np.bool_] | None = None) -> None:
+        """Trace and collapse vertices ahead of a view; `back` says on which side, None leaves each where it stands."""
+        chosen = np.asarray(vertices).astype(np.int32)
+        if back is not None:
+            self._relit.turn(chosen, back)
+        self._relit.trace(chosen)
+        self._relit.collapse(chosen)
+
     def radiance(self, eye: Triple, vertices: npt.ArrayLike | None = None) -> npt.NDArray[np.float32]:
         """Radiance of vertices towards an eye.
 
@@ -272,7 +311,11 @@ class Session:
             a vertex's horizon
         """
         count = len(self.mesh.vertices)
+        if np.shape(eye) != (3,) or not np.isfinite(np.asarray(eye, dtype=np.float64)).all():
+            raise InputError(f"eye: expected three finite numbers, got {eye}")
         chosen = np.arange(count) if vertices is None else np.asarray(vertices).ravel()
+        if chosen.size and chosen.dtype.kind not in "iu":
+            raise InputError(f"vertices: expected integers, got {chosen.dtype}")
         if chosen.size and (chosen.min() < 0 or chosen.max() >= count):
             raise InputError(f"vertices: expected indices from 0 to {count - 1}")
         work = self._begin()

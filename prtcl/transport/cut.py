@@ -1,16 +1,16 @@
 """Cuts of the quadtree: where f_v may be taken as constant, chosen from its Haar coefficients.
 
-A cut's leaves cover the hemisphere; over each leaf f_v is replaced by its value in the middle. What that leaves out is
-f_v's detail below the leaves, and since the inner product with L ⊕ V multiplies detail by detail, the error's variance
-is about
+A cut's leaves cover the hemisphere; over each leaf f_v is replaced by its value in the middle, weighed for what its
+mean is (`weights`). What that leaves out is f_v's detail below the leaves, and since the inner product with L ⊕ V
+multiplies detail by detail, the error's variance is about
 
     Σ over left-out squares of level r of  Σ_M f_M²  ·  w_r,      w_r = mean of (L ⊕ V)_M² over the points' squares
 
 relative to the mean radiance squared, for f_v and L ⊕ V scaled to a mean product of one. A square is split while
 what lies below it counts: the smallest cut whose sum stays below a square of an error. Where a lobe peaks leaves are
-samples; far from it they are large. The sum takes details as independent, which those of a lamp or a horizon are not:
-so the error of a cut is measured at some of the mesh's points, and the cut made anew for what that says
-(`prtcl.transport.pilots`).
+samples; far from it they are large. The sum takes details as independent, which those of a lamp or a horizon are not,
+and a view is never quite that of its bin's middle, which weighs on flat light, too. So the error of a cut is measured
+at some of the mesh's points, and the cut made anew for what that says (`prtcl.transport.pilots`).
 """
 
 from __future__ import annotations
@@ -26,9 +26,12 @@ from prtcl.compute.device import Device
 from prtcl.factors import hemisphere
 from prtcl.factors.material import Material
 from prtcl.factors.slices import Materials
+from prtcl.wavelet import haar
 
 SIDE = 32
 """View bins along the side of the square of views; each is 4.5 degrees wide."""
+TRUST = 2.0
+"""The most that a leaf's weight may make of f in its middle, and one over the least."""
 STEPS = 4
 """Cuts are made for lobe widths in steps of 2^(1/4), the next sharper one: an edit within a step finds its cut made."""
 
@@ -43,11 +46,14 @@ class Cut:
     ----------
     leaves : (any,) int32 squares, all bins one after another
     starts : (bins + 1,) int32
+    weights : (2, any) float32, what f in a leaf's middle counts for, at the sharp and the wide end of the lobes that
+        the cut serves
     error : expected, relative to the mean radiance: the root of the sum above, or what was measured
     """
 
     leaves: npt.NDArray[np.int32]
     starts: npt.NDArray[np.int32]
+    weights: npt.NDArray[np.float32]
     error: float
 
 
@@ -68,20 +74,36 @@ def stand_ins(material: Material) -> tuple[Material, ...]:
     Colours do not matter, and how lobe and base are mixed need not: the cut holds for both. So an edit of a colour or
     an index finds the cut it had.
     """
+    return ends(material)[0]
+
+
+def ends(material: Material) -> tuple[tuple[Material, ...], tuple[Material, ...], float]:
+    """Stand-ins at the sharp and at the wide end of a step of lobe widths, and where between them `material` is."""
     if material.kind == "lambert":
-        return (Material.parse("lambert:albedo=0.5"),)
+        own = (Material.parse("lambert:albedo=0.5"),)
+        return own, own, 0.0
     if material.kind == "table":
-        return (material,)
+        return (material,), (material,), 0.0
     based = any(np.ravel(material.numbers.get("kd", 0.0)) > 0)
     if material.kind == "blinn":
-        exponent = 2.0 ** (math.ceil(STEPS * math.log2(max(1.0, material.numbers["exponent"]))) / STEPS)
-        texts = [f"blinn:exponent={min(1e5, exponent):.6g},ks=0.5"]
-        texts += [texts[0] + ",kd=0.3"] if based else []
-    else:
-        alpha = 2.0 ** (math.floor(STEPS * math.log2(material.numbers["alpha"])) / STEPS)
-        texts = [f"ggx:alpha={max(1e-3, alpha):.6g},f0=0.8"]
-        texts += [f"ggx:alpha={max(1e-3, alpha):.6g},f0=0.04,kd=0.5"] if based else []
-    return tuple(Material.parse(text) for text in texts)
+        place = STEPS * math.log2(max(1.0, material.numbers["exponent"]))
+        sharp = math.ceil(place)
+        made = [_blinn(2.0 ** (step / STEPS), based) for step in (sharp, sharp - 1)]
+        return made[0], made[1], sharp - place
+    place = STEPS * math.log2(material.numbers["alpha"])
+    sharp = math.floor(place)
+    made = [_ggx(2.0 ** (step / STEPS), based) for step in (sharp, sharp + 1)]
+    return made[0], made[1], place - sharp
+
+
+def _blinn(exponent: float, based: bool) -> tuple[Material, ...]:
+    text = f"blinn:exponent={min(1e5, exponent):.6g},ks=0.5"
+    return tuple(Material.parse(t) for t in ([text, text + ",kd=0.3"] if based else [text]))
+
+
+def _ggx(alpha: float, based: bool) -> tuple[Material, ...]:
+    text = f"ggx:alpha={min(1.0, max(1e-3, alpha)):.6g},f0="
+    return tuple(Material.parse(text + t) for t in (["0.8", "0.04,kd=0.5"] if based else ["0.8"]))
 
 
 def energies(
@@ -113,14 +135,49 @@ def build(below: list[Array], error: float) -> Cut:
     leaf, left_out = _split(below, np.exp(low))
     bin_of, square = np.nonzero(leaf)
     starts = np.searchsorted(bin_of, np.arange(bins_ + 1)).astype(np.int32)
-    return Cut(square.astype(np.int32), starts, float(np.sqrt(left_out.mean())))
+    ones = np.ones((2, len(square)), dtype=np.float32)
+    return Cut(square.astype(np.int32), starts, ones, float(np.sqrt(left_out.mean())))
+
+
+def weights(own: Cut, means: Array, material: Material, device: Device) -> npt.NDArray[np.float32]:
+    """What f in the middle of each of a cut's leaves counts for, for one material.
+
+    A lobe's tail is convex: f in the middle of a leaf is less than its mean there, and pictures come out dark, by a
+    percent and more where leaves are large. What f in the middle must be multiplied by changes little with the view.
+    Leaves of one sample are left alone, for there the lobe peaks and it changes much; no weight leaves `TRUST`.
+
+    Parameters
+    ----------
+    means : (bins, squares) as `mean_reflectance` gives them, for this material
+    """
+    levels = round(math.log(3 * means.shape[1] + 1, 4)) - 1
+    bin_of = np.repeat(np.arange(len(own.starts) - 1), np.diff(own.starts))
+    directions = leaf_directions(levels).astype(np.float64)[own.leaves]
+    level_of = np.repeat(np.arange(levels + 1), 4 ** np.arange(levels + 1))[own.leaves]
+    cosine = directions[:, 3] * 4.0**level_of / (2 * np.pi)
+    f = Materials(device, [material]).evaluate(0, directions[:, :3], bins()[bin_of, 0]).mean(axis=1) * cosine
+    ratio = np.divide(means[bin_of, own.leaves], f, out=np.ones(len(f)), where=f > 0)
+    return np.where(level_of < levels, np.clip(ratio, 1 / TRUST, TRUST), 1.0).astype(np.float32)
+
+
+def mean_reflectance(material: Material, levels: int, device: Device) -> Array:
+    """Mean of f times the cosine over every square, for the middle view of every bin: (bins, squares), grey."""
+    packed = Materials(device, [material])
+    views = bins()[:, 0]
+    samples = haar.inverse(device, packed.slices(views, levels, sub=1)[0].reshape(-1, 4**levels)).get()
+    finest = samples.reshape(len(views), -1, 4**levels).mean(axis=1, dtype=np.float64)
+    rows = [finest]
+    for _ in range(levels):
+        rows.append(rows[-1].reshape(len(views), -1, 4).mean(axis=2))
+    return np.concatenate(rows[::-1], axis=1)
 
 
 def whole(levels: int, side: int = SIDE) -> Cut:
     """Every sample a leaf: the exact mode."""
     count = len(bins(side))
     samples = np.arange(quadtree.n_squares(levels), quadtree.n_squares(levels + 1), dtype=np.int32)
-    return Cut(np.tile(samples, count), np.arange(count + 1, dtype=np.int32) * samples.size, 0.0)
+    ones = np.ones((2, samples.size * count), dtype=np.float32)
+    return Cut(np.tile(samples, count), np.arange(count + 1, dtype=np.int32) * samples.size, ones, 0.0)
 
 
 def _below(device: Device, material: Material, views: Array, levels: int, spread: Array) -> list[Array]:

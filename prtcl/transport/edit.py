@@ -7,8 +7,10 @@ collapsed when they are first asked for.
 
 from __future__ import annotations
 
+from collections import OrderedDict
 from collections.abc import Hashable
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -31,6 +33,9 @@ from prtcl.transport.settings import Settings
 from prtcl.wavelet import pyramid
 
 Indices = npt.NDArray[np.int32]
+
+KEPT = 4
+"""Lists of leaves that stay on the device: what is worn now, and what was just before."""
 
 
 class Relit:
@@ -65,7 +70,7 @@ class Relit:
                 f"buffer, its largest is {device.max_allocation / 2**30:.1f} GiB\nuse fewer levels, or a coarser mesh"
             )
         # The tracer's own origin and scale keep positions exact in float32, and the eye's direction with them.
-        self._centre = positions.mean(axis=0)
+        self._centre = tracer.centre
         self._positions = device.array(positions - self._centre)
         self._frames, self._material = device.array(points.frames), device.array(points.material, np.int32)
         self._sums = device.empty((count, quadtree.n_squares(levels + 1)), np.uint32)
@@ -74,8 +79,8 @@ class Relit:
         self._bits = np.zeros((count, words), dtype=np.uint32) if bits is None else bits.copy()
         self.traced = np.full(count, bits is not None)
         self.collapsed = np.zeros(count, dtype=np.bool_)
-        self._cuts: dict[Hashable, cut.Cut] = {}
-        self._lists: tuple[tuple[int, ...], Leaves] | None = None
+        self._cuts: dict[Hashable, tuple[cut.Cut, tuple[Material, ...]]] = {}
+        self._lists: OrderedDict[Hashable, Leaves] = OrderedDict()
         self._pilots: Pilots | None = None
         self._pilot_bits = None if bits is None else bits[sample(count)]
         self.light: Light | None = None
@@ -84,14 +89,16 @@ class Relit:
 
     def set_light(self, environment: Environment) -> None:
         """Take another light: nothing traced is lost, nothing collapsed is kept."""
-        self.light = environment.split(self.settings.levels)
-        self.channels = 1 if self.light.grey else 3
-        self.scale = pyramid.scale_for(float(self.light.cube[..., :3].max()))
-        hard, count = self.light.hard, len(self.points)
-        self._hard = HardSums(self.device, hard, self.light.hard_share, count) if len(hard) else None
+        light, count = environment.split(self.settings.levels), len(self.points)
+        # What may fail comes first: the light that is there stays whole.
+        hard = HardSums(self.device, light.hard, light.hard_share, count) if len(light.hard) else None
+        self.light, self._hard = light, hard
+        self.channels = 1 if light.grey else 3
+        self.scale = pyramid.scale_for(float(light.cube[..., :3].max()))
         self.collapsed[:] = False
         self._cuts.clear()
-        self._lists = self._pilots = None
+        self._lists.clear()
+        self._pilots = None
 
     def turn(self, chosen: Indices, back: npt.NDArray[np.bool_]) -> None:
         """Have the chosen points stand on their front or, where `back`, on their back side.
@@ -107,6 +114,10 @@ class Relit:
         self._back[which] ^= True
         self._frames = self.device.array(points.frames)
         self.traced[which] = self.collapsed[which] = False
+
+    def waiting(self, chosen: Indices, back: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
+        """Which of the chosen points are not collapsed on the side wanted."""
+        return ~self.collapsed[chosen] | (self._back[chosen] != back)
 
     def trace(self, chosen: Indices, progress: Progress | None = None) -> int:
         """Trace the visibility of those points that have none yet; how many there were."""
@@ -162,34 +173,38 @@ class Relit:
         error : relative, what the cuts may leave out; 0 takes every sample
         """
         cuts = [self._cut(material, error) for material in materials]
-        key = tuple(id(own) for own in cuts)
-        if self._lists is None or self._lists[0] != key:
-            self._lists = key, Leaves(self.device, self._squares, cuts)
+        places = [0.0 if error == 0.0 else cut.ends(material)[2] for material in materials]
+        key = tuple((id(own), place) for own, place in zip(cuts, places, strict=True))
+        if key not in self._lists:
+            self._lists[key] = Leaves(self.device, self._squares, cuts, places)
+            while len(self._lists) > KEPT:
+                self._lists.popitem(last=False)
+        self._lists.move_to_end(key)
         hard = None if self._hard is None else self._hard.lists(materials, error)
-        return Dress(Materials(self.device, materials), cuts, self._lists[1], hard)
+        return Dress(Materials(self.device, materials), cuts, self._lists[key], hard)
 
     def _cut(self, material: Material, error: float) -> cut.Cut:
         """A cut of the error asked for, or a whole one for 0."""
-        stand_ins = cut.stand_ins(material)
-        key = (error, *(id(m) if m.table else m.spec for m in stand_ins))
-        if self._pilots is None:
-            assert self.light is not None
-            some = sample(len(self.points))
-            self._pilots = Pilots(
-                self.device,
-                self.tracer,
-                self._front[some],
-                self._pilot_bits,
-                self.settings,
-                self._squares,
-                self.light,
-            )
-            self._pilot_bits = self._pilots.bits
         if error == 0.0:
-            return self._pilots.whole
+            return self._whole
+        sharp, wide, _ = cut.ends(material)
+        key = (error, *(id(m) if m.table else m.spec for m in sharp))
         if key not in self._cuts:
-            self._cuts[key] = self._pilots.fit(stand_ins, error)
-        return self._cuts[key]
+            if self._pilots is None:
+                assert self.light is not None
+                some = sample(len(self.points))
+                self._pilots = Pilots(
+                    self.device, self.tracer, self._front[some], self._pilot_bits, self.settings, self._squares,
+                    self._whole, self.light,
+                )  # fmt: skip
+                self._pilot_bits = self._pilots.bits
+            # The stand-ins are kept: a table is known by its identity, which must stay its own.
+            self._cuts[key] = self._pilots.fit(sharp, wide, error), sharp
+        return self._cuts[key][0]
+
+    @cached_property
+    def _whole(self) -> cut.Cut:
+        return cut.whole(self.settings.levels)
 
     # --- views ----------------------------------------------------------------------------------------------
 

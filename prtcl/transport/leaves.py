@@ -31,17 +31,25 @@ class Leaves:
     Parameters
     ----------
     cuts : one a material; one may serve several
+    places : where between the ends of its cut's lobes each material is, 0 to 1; None is 0 for all
     """
 
-    def __init__(self, device: Device, squares: Squares, cuts: list[cut.Cut]) -> None:
+    def __init__(
+        self, device: Device, squares: Squares, cuts: list[cut.Cut], places: list[float] | None = None
+    ) -> None:
         self.device, self.levels = device, squares.levels
-        different = {id(own): own for own in cuts}
+        keys = list(zip(map(id, cuts), places or [0.0] * len(cuts), strict=True))
+        different = dict(zip(keys, cuts, strict=True))
         listed = np.concatenate([own.leaves for own in different.values()])
         ends = np.cumsum([0, *(len(own.leaves) for own in different.values())])
         offsets = dict(zip(different, ends, strict=False))
-        starts = np.concatenate([own.starts + offsets[id(own)] for own in cuts])
+        starts = np.concatenate([own.starts + offsets[key] for key, own in zip(keys, cuts, strict=True)])
+        directions = squares.directions[listed]
+        directions[:, 3] *= np.concatenate(
+            [(1 - place) * own.weights[0] + place * own.weights[1] for (_, place), own in different.items()]
+        )
         self.arguments = (
-            device.array(squares.directions[listed]), device.array(squares.turns[:, listed], np.int32), len(listed),
+            device.array(directions), device.array(squares.turns[:, listed], np.int32), len(listed),
             device.array(starts, np.int32),
         )  # fmt: skip
 

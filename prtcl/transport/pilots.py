@@ -18,6 +18,7 @@ from prtcl.factors.material import Material
 from prtcl.factors.slices import Materials
 from prtcl.factors.visibility import Tracer
 from prtcl.transport import collapse, cut
+from prtcl.transport.hard_tree import HardSums
 from prtcl.transport.leaves import Leaves, Squares
 from prtcl.transport.pipeline import Points
 from prtcl.transport.settings import Settings
@@ -25,8 +26,11 @@ from prtcl.wavelet import haar, pyramid
 
 COUNT, VIEWS = 128, 4
 """Points of the sample, and views of each at which cuts are tried."""
-GUESS, AIM = 2.0, 0.8
-"""A cut's error over the root of its sum, to begin with; and the error aimed at, of that asked for, once measured."""
+GUESS, AIM, TRIES = 2.0, 0.8, 6
+"""A cut's error over the root of its sum, to begin with; the error aimed at, of that asked for, once measured; and how
+often a cut is made anew at most."""
+FLAT = 0.05
+"""Least w_r: a flat product has no detail, and yet f in a leaf's middle is not its mean there."""
 
 
 def sample(count: int) -> npt.NDArray[np.int32]:
@@ -42,11 +46,12 @@ class Pilots:
     points : the sample
     bits : their visibility where it is traced already
     settings : levels and rays of light, product and visibility
+    whole : the cut of all samples
     """
 
     def __init__(
         self, device: Device, tracer: Tracer, points: Points, bits: npt.NDArray[np.uint32] | None,
-        settings: Settings, squares: Squares, light: Light,
+        settings: Settings, squares: Squares, whole: cut.Cut, light: Light,
     ) -> None:  # fmt: skip
         self.device, self.levels, self.squares, self.light = device, settings.levels, squares, light
         if bits is None:
@@ -57,12 +62,13 @@ class Pilots:
         )
         coefficients = haar.forward(device, product).get().astype(np.float64)
         mean = coefficients[..., 0].mean() / 2.0**self.levels
-        self.spread = np.array(
+        details = np.array(
             [
                 (coefficients[..., 4**level : 4 ** (level + 1)] ** 2).mean() / max(mean**2, 1e-300)
                 for level in range(self.levels)
             ]
         )
+        self.spread = np.maximum(details, FLAT)
         """(levels,) w_r of `prtcl.transport.cut`."""
         self._scale = pyramid.scale_for(float(light.cube[..., :3].max()))
         self._sums = device.empty((len(points), quadtree.n_squares(self.levels + 1)), np.uint32)
@@ -75,32 +81,77 @@ class Pilots:
         views[:, 2] = np.sqrt(1 - u)
         self._chosen, self._views = device.array(chosen, np.int32), device.array(views)
         self._material = device.array(np.zeros(len(points)), np.int32)
-        self.whole = cut.whole(self.levels)
-        self._all = Leaves(device, squares, [self.whole])
+        self._hard: HardSums | None = None
+        if len(light.hard):
+            self._hard = HardSums(device, light.hard, light.hard_share, len(points))
+            samples = self._hard.samples[:, :3]
+            seen = tracer.light_visibility(points.origins, points.frames[:, 2], samples)
+            self._hard.collapse(seen, np.arange(len(points), dtype=np.int32))
+            self._frames = device.array(points.frames)
+        self._all = Leaves(device, squares, [whole])
 
-    def fit(self, stand_ins: tuple[Material, ...], error: float) -> cut.Cut:
-        """A cut that errs by about `error` for each of some materials, relative to the mean under the whole light.
+    def fit(self, sharp: tuple[Material, ...], wide: tuple[Material, ...], error: float) -> cut.Cut:
+        """A cut that errs by about `error` relative to the mean under the whole light.
+
+        Parameters
+        ----------
+        sharp, wide : as `cut.ends` gives them; the cut is made for the sharp ones and tried for all
 
         Returns
         -------
-        cut : its `error` is what was measured here
+        cut : its `error` is the largest that was measured
         """
-        below = cut.energies(self.device, stand_ins, self.levels, self.spread)
-        exact = [self._radiance(material, self._all) for material in stand_ins]
-        # Soft light is all that cuts err in.
-        soft, asked = 1.0 - self.light.hard_share, error / GUESS
-        for last in (False, True):
+        below = cut.energies(self.device, sharp, self.levels, self.spread)
+        # Weights are those of the last, which stands nearest to the material.
+        means = [cut.mean_reflectance(end[-1], self.levels, self.device) for end in (sharp, wide)]
+        trials = [
+            (place, material, *self._truth(material))
+            for place, end in enumerate((sharp, wide))
+            for material in end
+        ]
+        asked, best = error / GUESS, None
+        for _ in range(TRIES):
             own = cut.build(below, asked)
-            leaves = Leaves(self.device, self.squares, [own])
-            found = soft * max(
-                _relative_rmse(self._radiance(material, leaves), want)
-                for material, want in zip(stand_ins, exact, strict=True)
+            weights = [
+                cut.weights(own, mean, end[-1], self.device)
+                for mean, end in zip(means, (sharp, wide), strict=True)
+            ]
+            own = replace(own, weights=np.stack(weights))
+            leaves = [Leaves(self.device, self.squares, [own], [place]) for place in (0.0, 1.0)]
+            found = max(
+                _rmse(self._radiance(material, leaves[place]), want) / mean if mean > 0.0 else 0.0
+                for place, material, want, mean in trials
             )
-            if last or found == 0.0:
+            own = replace(own, error=found)
+            best = own if best is None else min(best, own, key=lambda c: _worth(c, error))
+            if found == 0.0 or 0.6 * error <= found <= error:
                 break
-            # The error goes about as the sum's root does: one step of the secant's rule gets near.
+            # The error goes about as the sum's root does: a few steps of the secant's rule get near.
             asked *= min(4.0, max(0.125, AIM * error / found))
-        return replace(own, error=found)
+        assert best is not None
+        return best
+
+    def _truth(self, material: Material) -> tuple[npt.NDArray[np.floating], float]:
+        """Soft radiance over all samples, and the mean under the whole light."""
+        soft = self._radiance(material, self._all)
+        return soft, self._whole_mean(material, float(soft.mean(dtype=np.float64)))
+
+    def _whole_mean(self, material: Material, soft: float) -> float:
+        """Mean radiance of the pilots under the whole light.
+
+        Few of their views meet a glint: what they see of the hard light is rather less than all views do, and where one
+        meets it by chance, no more than its share of the energy counts.
+        """
+        if self._hard is None:
+            return soft
+        materials = Materials(self.device, [material])
+        out = self.device.array(np.zeros((len(self._chosen), 4)))
+        lists = self._hard.lists([material], 0.0)
+        self._hard.add_radiance(
+            materials, lists, self._chosen, self._material, self._frames, self._views, out
+        )
+        share = min(self.light.hard_share, 1.0 - 1e-3)
+        return soft + min(float(out.get()[:, :3].mean(dtype=np.float64)), soft * share / (1.0 - share))
 
     def _radiance(self, material: Material, leaves: Leaves) -> npt.NDArray[np.floating]:
         out = self.device.empty((len(self._chosen), 4))
@@ -109,7 +160,10 @@ class Pilots:
         return np.asarray(out.get()[:, :3])
 
 
-def _relative_rmse(a: npt.NDArray[np.floating], b: npt.NDArray[np.floating]) -> float:
-    """Of a, relative to the mean of b; 0 where all is dark."""
-    mean = float(b.mean(dtype=np.float64))
-    return float(np.sqrt(((a.astype(np.float64) - b) ** 2).mean())) / mean if mean > 0.0 else 0.0
+def _worth(own: cut.Cut, error: float) -> tuple[bool, float]:
+    """Of cuts that are good enough the one with fewest leaves comes first, else the one that errs least."""
+    return own.error > error, len(own.leaves) if own.error <= error else own.error
+
+
+def _rmse(a: npt.NDArray[np.floating], b: npt.NDArray[np.floating]) -> float:
+    return float(np.sqrt(((a.astype(np.float64) - b) ** 2).mean()))

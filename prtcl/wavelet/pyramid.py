@@ -25,8 +25,8 @@ def row_bytes(levels: int) -> int:
 
 
 def scale_for(largest: float) -> float:
-    """The power of two that brings values of at most `largest` below 2^15 (1 where all is dark)."""
-    return 2.0 ** (TOP_EXPONENT - math.ceil(math.log2(largest))) if largest > 0.0 else 1.0
+    """The power of two that brings values of at most `largest` below 2^15 (1 where all is dark), itself in float32."""
+    return 2.0 ** min(126, TOP_EXPONENT - math.ceil(math.log2(largest))) if largest > 0.0 else 1.0
 
 
 def pack(device: Device, samples: Any, rows: Any, sums: Any, scale: float) -> None:

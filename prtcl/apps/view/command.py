@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 import os
 import sys
 import threading
@@ -12,6 +13,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
+from prtcl import quadtree
 from prtcl.apps.bake_options import is_bake, read_bake
 from prtcl.apps.progress import bar
 from prtcl.apps.view import web
@@ -38,6 +40,7 @@ RAYS = 5
 
 def run(options: argparse.Namespace) -> int:
     """Serve until interrupted."""
+    check(options)
     environments = listed(options.env)
     folder = writable_folder(options.output)
     mesh, bake = read(options)
@@ -75,6 +78,26 @@ def run(options: argparse.Namespace) -> int:
         loop.stop()
         web.stop(server)
     return 0
+
+
+def check(options: argparse.Namespace) -> None:
+    """Refuse numbers out of range before anything starts.
+
+    Raises
+    ------
+    InputError
+        Naming the option.
+    """
+    levels = options.levels
+    if levels is not None and not 1 <= levels <= quadtree.MAX_LEVELS:
+        raise InputError(f"--levels: expected 1 to {quadtree.MAX_LEVELS}, got {levels}")
+    most = quadtree.MAX_LEVELS if levels is None else levels
+    if options.rays is not None and not 1 <= options.rays <= most:
+        raise InputError(f"--rays: expected 1 to {most}, at most --levels, got {options.rays}")
+    if not 0.0 <= options.error < 1.0:
+        raise InputError(f"--error: expected 0 or more and below 1, got {options.error}")
+    if not math.isfinite(options.env_rotate):
+        raise InputError(f"--env-rotate: expected degrees, got {options.env_rotate}")
 
 
 def seat_pages(server: Any, host: str, loop: Loop, make: Callable[[Any], Page]) -> None:

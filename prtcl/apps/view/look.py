@@ -47,14 +47,15 @@ class Look:
 
     @classmethod
     def of(cls, material: Material) -> Look:
-        """A look that shows just this material, on sliders where they reach it."""
+        """A look that shows this material, on sliders where they reach it, to the four digits of a SPEC."""
         numbers = material.numbers
         at = cls("as given", given=material)
         if material.tints:
             parameter, painted = _COLOUR_OF.get(material.kind, ""), replace(at, painted=True)
             if material.tints != {parameter: (1.0, 1.0, 1.0)}:
                 return painted  # such as glTF's, whose metals are tinted twice
-            return replace(cls.of(replace(material, tints={})), painted=True, given=material)
+            look = cls.of(replace(material, tints={}))
+            return replace(look, painted=True, given=material) if look.kind != "metal" else painted
         if material.kind == "lambert":
             return replace(at, kind="lambert", colour=numbers["albedo"])
         if material.kind == "ggx-conductor":

@@ -154,7 +154,7 @@ class Page:
         part, before = self._part, self.seat.state.looks
         looks = (*before[:part], look, *before[part + 1 :])
         if looks != before:
-            self.history.record(before, control, time.monotonic())
+            self.history.record(before, (part, control), time.monotonic())
             self.loop.update(self.seat, lambda state: replace(state, looks=looks))
         self._show(look, control)
 
@@ -233,11 +233,19 @@ def described(quality: Quality, drawn: Drawn, developed: float) -> str:
 
 def eye_of(camera: Any) -> Eye:
     """A page's camera, as viser has it."""
+    # The camera's own upper edge, not the axis it orbits: looking down along that axis is a view like any other.
     position, target, up = (
-        tuple(float(x) for x in vector) for vector in (camera.position, camera.look_at, camera.up_direction)
+        tuple(float(x) for x in vector)
+        for vector in (camera.position, camera.look_at, upper_edge(camera.wxyz))
     )
     canvas = int(camera.image_width), int(camera.image_height)
     return Eye(position, target, up, float(camera.fov), canvas)  # type: ignore[arg-type]
+
+
+def upper_edge(wxyz: Any) -> tuple[float, float, float]:
+    """World direction of a picture's upper edge: (0, −1, 0), as viser's cameras have y down, turned by a quaternion."""
+    w, x, y, z = (float(v) for v in wxyz)
+    return -2 * (x * y - w * z), -(1 - 2 * (x * x + z * z)), -2 * (y * z + w * x)
 
 
 def _from_page(handler: Callable[[], None]) -> Callable[[Any], Any]:

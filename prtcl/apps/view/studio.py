@@ -77,21 +77,6 @@ class Drawn:
     draft: bool
 
 
-class Lit:
-    """A session under one light, and which of its vertices are collapsed."""
-
-    def __init__(self, session: Session) -> None:
-        self.session = session
-        self.ready = np.zeros(len(session.mesh.vertices), dtype=np.bool_)
-
-    def lacking(self, eye: Triple) -> npt.NDArray[np.intp]:
-        """Vertices that face an eye and are not collapsed: what a view of it may have to wait for."""
-        mesh = self.session.mesh
-        assert mesh.normals is not None
-        facing = ((eye - mesh.vertices) * mesh.normals).sum(axis=1) > 0.0
-        return np.flatnonzero(facing & ~self.ready)
-
-
 class Studio:
     """Sessions of one mesh, made as lights ask for them. One thread uses it; `trace` is another's.
 
@@ -118,7 +103,7 @@ class Studio:
         self.rays = min(rays, self.levels)
         self._up, self._repair = up, repair
         self._bakes: dict[bool, Bake] = {} if bake is None else {True: bake}
-        self._pools: dict[bool, OrderedDict[tuple[str, float], Lit]] = {
+        self._pools: dict[bool, OrderedDict[tuple[str, float], Session]] = {
             True: OrderedDict(),
             False: OrderedDict(),
         }
@@ -157,13 +142,14 @@ class Studio:
         start = time.perf_counter()
         fine = quality.fine
         if not fine and True in self._bakes:
+            # The draft stands in only where the fine one would have to work for longer than a step.
             held = self._pools[True].get(state.light)
-            fine = False not in self._bakes or (held is not None and not len(held.lacking(camera.eye)))
-        lit = self._lit(state, fine)
-        session = lit.session
+            ready = held is not None and len(held.waiting(camera, quality.samples)[0]) <= self._chunk
+            fine = False not in self._bakes or ready
+        session = self._lit(state, fine)
         if quality.fine:
-            lacking = lit.lacking(camera.eye)
-            if len(lacking) and self._prepare(lit, camera.eye, lacking) < len(lacking):
+            wanted, back = session.waiting(camera, quality.samples)
+            if len(wanted) and self._prepare(session, wanted, back) < len(wanted):
                 return None
         materials = [look.material for look in state.looks]
         if list(session.materials) != materials:
@@ -173,31 +159,41 @@ class Studio:
         return Drawn(render, exposure, time.perf_counter() - start, not fine)
 
     def left(self, state: State) -> float:
-        """Share of the vertices in sight that a fine picture of a state still waits for."""
+        """About which share of the vertices in sight a fine picture of a state still waits for."""
         held = self._pools[True].get(state.light)
         if held is None:
             return 1.0
-        return len(held.lacking(state.eye.position)) / max(1, len(held.ready))
+        wanted, _ = held.waiting(state.eye.camera(self.size), FINE.samples)
+        return min(1.0, len(wanted) / max(1, int(self._facing(state.eye.position).sum())))
 
     def look_ahead(self, state: State) -> bool:
-        """Collapse some vertices that a state's camera does not see yet; False where none is left."""
+        """Collapse some vertices that a state's camera does not see yet, those that face it first; False for none."""
         held = self._pools[True].get(state.light)
-        rest = np.flatnonzero(~held.ready) if held is not None else np.zeros(0, dtype=np.intp)
-        if held is None or not len(rest):
+        if held is None:
             return False
-        self._prepare(held, state.eye.position, rest)
+        rest = ~held.collapsed
+        if not rest.any():
+            return False
+        facing = rest & self._facing(state.eye.position)
+        self._prepare(held, np.flatnonzero(facing if facing.any() else rest))
         return True
 
-    def _prepare(self, lit: Lit, eye: Triple, wanted: npt.NDArray[np.intp]) -> int:
+    def _facing(self, eye: Triple) -> npt.NDArray[np.bool_]:
+        assert self.mesh.normals is not None
+        return np.asarray(((eye - self.mesh.vertices) * self.mesh.normals).sum(axis=1) > 0.0)
+
+    def _prepare(
+        self, session: Session, wanted: npt.NDArray[np.integer], back: npt.NDArray[np.bool_] | None = None
+    ) -> int:
         """Collapse some of the vertices that are wanted; how many they were."""
-        some = wanted[: self._chunk]
+        some = slice(None, self._chunk)
         start = time.perf_counter()
-        lit.session.radiance(eye, some)
-        lit.ready[some] = True
-        speed = len(some) / max(1e-6, time.perf_counter() - start)
+        session.prepare(wanted[some], None if back is None else back[some])
+        count = len(wanted[some])
+        speed = count / max(1e-6, time.perf_counter() - start)
         # By at most a factor of two: the first chunk also pays for compiling.
         self._chunk = int(min(2 * self._chunk, max(64, self._chunk // 2, speed * STEP)))
-        return len(some)
+        return count
 
     # --- lights ---------------------------------------------------------------------------------------------
 
@@ -214,22 +210,19 @@ class Studio:
         self._environments.move_to_end(name)
         return self._environments[name]
 
-    def _lit(self, state: State, fine: bool) -> Lit:
+    def _lit(self, state: State, fine: bool) -> Session:
         """The session under a state's light; the one longest unused takes that light where none is."""
         pool, bake = self._pools[fine], self._bakes[fine]
         if state.light not in pool:
             light = replace(self.environment(state.environment)[0], rotate=state.rotate)
             if len(pool) >= self._kept[fine]:
-                lit = pool.popitem(last=False)[1]
-                lit.session.light = light
+                session = pool.popitem(last=False)[1]
+                session.light = light
             else:
                 materials = [look.material for look in state.looks]
                 levels = self.levels if fine else bake.rays
-                lit = Lit(
-                    Session(bake, light, materials, device=self.device, levels=levels, error=self.error)
-                )
-            lit.ready[:] = False
-            pool[state.light] = lit
+                session = Session(bake, light, materials, device=self.device, levels=levels, error=self.error)
+            pool[state.light] = session
         pool.move_to_end(state.light)
         return pool[state.light]
 
