@@ -25,7 +25,7 @@ from typing import Any
 
 import scenes
 
-PICTURE = 4000
+PICTURE = 2000
 """Bytes of a message that is a picture; those of the panel are smaller."""
 
 

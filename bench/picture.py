@@ -22,6 +22,7 @@ PANELS = (
     ("st_fagans_interior", "ggx:alpha=0.1,f0=0.05,kd=0.05/0.25/0.12", 0.6),
 )
 """Environment, material, exposure in stops."""
+MARGIN = 16
 
 
 def main() -> None:
@@ -45,7 +46,13 @@ def main() -> None:
         image = render.image.astype(np.float64)
         image[..., :3] *= 2.0**exposure
         panels.append(image)
-    write_png(options.output, np.concatenate(panels, axis=1))
+    # All three show the same view: cut to what is seen, and a margin.
+    rows, columns = np.nonzero(panels[0][..., 3] > 0)
+    shown = (
+        slice(rows.min() - MARGIN, rows.max() + MARGIN),
+        slice(columns.min() - MARGIN, columns.max() + MARGIN),
+    )
+    write_png(options.output, np.concatenate([panel[shown] for panel in panels], axis=1))
 
 
 if __name__ == "__main__":
