@@ -213,6 +213,8 @@ def test_mistakes_are_named(mesh: Mesh, sky: Environment, device: Device) -> Non
         own.set_material(5, GOLD)
     with pytest.raises(InputError, match="expected one, or 5"):
         own.material = [GOLD, GOLD]
+    with pytest.raises(InputError, match="expected a text such as"):
+        own.material = 5
     with pytest.raises(InputError, match="samples: expected 1 to 16"):
         own.view(samples=0)
     with pytest.raises(InputError, match="error: expected 0 or more and below 1"):

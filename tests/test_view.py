@@ -19,7 +19,7 @@ from prtcl.apps.cli import main
 from prtcl.apps.view import saving, web
 from prtcl.apps.view.command import listed, part_names, writable_folder
 from prtcl.apps.view.look import ALPHA, KINDS, PRESETS, History, Look
-from prtcl.apps.view.loop import Loop, Seat
+from prtcl.apps.view.loop import WAITING, Loop, Seat
 from prtcl.apps.view.state import (
     MOVING_PIXELS,
     Eye,
@@ -306,6 +306,10 @@ def test_saving_waits_for_the_refined_picture_of_that_moment() -> None:
     bench.loop.update(seat, lambda s: replace(s, rotate=90.0))
     bench.work(5.0)
     assert [s.rotate for s in saved] == [0.0]
+    taken = [bench.loop.save(seat, lambda state, drawn: saved.append(state)) for _ in range(WAITING + 1)]
+    assert taken == [True] * WAITING + [False]
+    bench.work(5.0)
+    assert len(saved) == 1 + WAITING
 
 
 def test_the_loop_runs_on_a_thread_and_stops() -> None:

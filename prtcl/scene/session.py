@@ -375,7 +375,7 @@ class Session:
         parts = self._parts
         if material is None:
             return tuple(own_materials(self.mesh))
-        if isinstance(material, str | Material):
+        if isinstance(material, str | Material) or not isinstance(material, Sequence):
             return (Material.parse(material),) * parts
         if len(material) != parts:
             raise InputError(f"material: expected one, or {parts} for the mesh's parts, got {len(material)}")

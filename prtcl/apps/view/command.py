@@ -51,8 +51,8 @@ def run(options: argparse.Namespace) -> int:
         error=options.error, size=options.size, up=options.env_up, repair=options.repair,
     )  # fmt: skip
     first = next(iter(environments))
-    studio.environment(first)  # read now, so that a bad one is told here
-    for note in (*mesh.notes, *studio.notes):
+    notes = studio.environment(first)[2]  # read now, so that a bad one is told here
+    for note in (*mesh.notes, *notes):
         print(f"prtcl view: {note}", file=sys.stderr)
     up = (0.0, 0.0, 1.0) if options.env_up == "z" else (0.0, 1.0, 0.0)
     camera = Camera.framing(mesh.bounds, up=up, fov=FOV, size=(1, 1))

@@ -18,6 +18,10 @@ Deliver = Callable[[State, Quality, Drawn], None]
 Saver = Callable[[State, Drawn], None]
 
 
+WAITING = 3
+"""Pictures of one page that may wait to be saved."""
+
+
 @dataclass(eq=False)
 class Seat:
     """A page's place in the loop. Its fields are the loop's.
@@ -83,12 +87,14 @@ class Loop:
                 seat.stale_tone = True
             self._changed.notify_all()
 
-    def save(self, seat: Seat, saver: Saver) -> None:
-        """Have the refined picture of a page's state as it is now, when it is made."""
+    def save(self, seat: Seat, saver: Saver) -> bool:
+        """Have the refined picture of a page's state as it is now, once made; False where `WAITING` wait already."""
         with self._changed:
-            if len(seat.saves) < 3:  # who presses faster gets three
+            taken = len(seat.saves) < WAITING
+            if taken:
                 seat.saves.append((seat.state, saver))
             self._changed.notify_all()
+        return taken
 
     def wake(self) -> None:
         """Look again: something that pictures waited for has come."""

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from prtcl.apps.view.look import ALPHA, KINDS, PRESETS, History, Look
-from prtcl.apps.view.loop import Loop
+from prtcl.apps.view.loop import WAITING, Loop
 from prtcl.apps.view.saving import save_image, save_material
 from prtcl.apps.view.state import STOPS, Eye, State, develop, linear_colour, picked_colour
 from prtcl.apps.view.studio import FINE, Drawn, Quality
@@ -182,8 +182,12 @@ class Page:
     def _saved(self) -> None:
         if self.save.value == "Material":
             self._keep(lambda: [save_material(self.folder, self.seat.state, self.parts)])
-        else:
-            self.loop.save(self.seat, self._save_image)
+        elif not self.loop.save(self.seat, self._save_image):
+            self.client.add_notification(
+                "Not saved",
+                f"{WAITING} pictures are waiting already; press again once they are there",
+                color="red",
+            )
 
     def _save_image(self, state: State, drawn: Drawn) -> None:
         self._keep(lambda: save_image(self.folder, drawn.render, drawn.exposure + state.exposure))
@@ -228,6 +232,7 @@ def described(quality: Quality, drawn: Drawn, developed: float) -> str:
     return (
         f"**{1000 * (drawn.seconds + developed):.0f} ms** {quality.name}, {width} × {height}, "
         f"{report['points'].get('shade', 0):,} points\n\nError {error}\n\n{stages} ms"
+        + "".join(f"\n\n{note}" for note in drawn.notes)
     )
 
 

@@ -69,12 +69,14 @@ class Drawn:
     exposure : stops that suit the environment
     seconds : wall time of the call that made it
     draft : whether a draft session made it
+    notes : on the environment, such as what was repaired
     """
 
     render: Render
     exposure: float
     seconds: float
     draft: bool
+    notes: tuple[str, ...] = ()
 
 
 class Studio:
@@ -110,9 +112,8 @@ class Studio:
         # Two fine ones, so that two pages under different lights do not undo each other's work.
         row = len(self.mesh.vertices) * pyramid.row_bytes(self.levels)
         self._kept = {False: 3, True: 2 if 4 * row < device.memory else 1}
-        self._environments: OrderedDict[str, tuple[Environment, float]] = OrderedDict()
+        self._environments: OrderedDict[str, tuple[Environment, float, tuple[str, ...]]] = OrderedDict()
         self._chunk = 256
-        self.notes: list[str] = []
 
     # --- visibility -----------------------------------------------------------------------------------------
 
@@ -155,8 +156,8 @@ class Studio:
         if list(session.materials) != materials:
             session.material = materials
         render = session.view(camera, samples=quality.samples)
-        exposure = self.environment(state.environment)[1]
-        return Drawn(render, exposure, time.perf_counter() - start, not fine)
+        _, exposure, notes = self.environment(state.environment)
+        return Drawn(render, exposure, time.perf_counter() - start, not fine, notes)
 
     def left(self, state: State) -> float:
         """About which share of the vertices in sight a fine picture of a state still waits for."""
@@ -197,14 +198,13 @@ class Studio:
 
     # --- lights ---------------------------------------------------------------------------------------------
 
-    def environment(self, name: str) -> tuple[Environment, float]:
-        """An environment of the list, not turned, and the exposure that suits it."""
+    def environment(self, name: str) -> tuple[Environment, float, tuple[str, ...]]:
+        """An environment of the list, not turned, the exposure that suits it, and notes on it."""
         if name not in self.files:
             raise InputError(f"environment: there is no {name!r} in the list")
         if name not in self._environments:
             found, notes = read_environment(self.files[name], up=self._up, repair=self._repair)
-            self.notes += notes
-            self._environments[name] = found, metered_exposure(found.image)
+            self._environments[name] = found, metered_exposure(found.image), tuple(notes)
             if len(self._environments) > KEPT_ENVIRONMENTS:
                 self._environments.popitem(last=False)
         self._environments.move_to_end(name)
