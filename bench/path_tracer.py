@@ -69,7 +69,7 @@ def main() -> None:
         result = {
             "device": device.name,
             "size": options.size,
-            "command": "python bench/path_tracer.py",
+            "command": f"python bench/path_tracer.py --spp {options.spp}",
             "rows": rows,
         }
         options.output.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")

@@ -100,7 +100,8 @@ class Scene:
     device : None chooses one
     two_sided : seen from behind, a surface's normal is turned to the viewer
     smooth : replace normals by vertex normals averaged over the faces
-    **settings : `Settings` fixed by hand: levels, rays, keep, views, method, hard, visibility
+    **settings : `Settings` fixed by hand: levels, rays, keep, views, method, hard, visibility,
+        pixel_error
 
     Examples
     --------
@@ -117,7 +118,7 @@ class Scene:
         device: Device | None = None,
         two_sided: bool = True,
         smooth: bool = False,
-        **settings: int | str | None,
+        **settings: float | str | None,
     ) -> None:
         self.bake: Bake | None = None
         if not isinstance(mesh, Mesh | Bake):

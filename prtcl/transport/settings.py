@@ -62,7 +62,7 @@ class Settings:
         """Whether the product goes through the quadtree."""
         return self.method == "tree"
 
-    def with_defaults(self, **given: int | str | None) -> Settings:
+    def with_defaults(self, **given: float | str | None) -> Settings:
         """These settings with what a user fixed by hand; None leaves a value as it is.
 
         A user who gives `levels` alone means the other two as well, as far as they fit.
