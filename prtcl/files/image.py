@@ -5,11 +5,12 @@ from __future__ import annotations
 import io
 import math
 import os
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import OpenEXR
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from PIL import Image
 from PIL.PngImagePlugin import PngInfo
 
@@ -69,11 +70,8 @@ def encode_png(image: NDArray[np.floating], exposure: float = 0.0) -> bytes:
     InputError
         The image has another shape, or `exposure` is not a number.
     """
-    info = PngInfo()
-    info.add_text("exposure", f"{exposure:g} stops")
-    info.add_text("Software", f"prtcl {__version__}")
     file = io.BytesIO()
-    _preview(image, exposure).save(file, format="PNG", pnginfo=info)
+    _save_png(file, _preview(image, exposure), exposure)
     return file.getvalue()
 
 
@@ -99,11 +97,19 @@ def write_png(path: str | os.PathLike[str], image: NDArray[np.floating], exposur
     PrtclError
         Writing failed, such as on a full disk.
     """
+    preview = _preview(image, exposure)
     with replacing(path) as temporary:
         try:
-            temporary.write_bytes(encode_png(image, exposure))
-        except OSError as error:
+            _save_png(temporary, preview, exposure)
+        except Exception as error:
             raise PrtclError(f"{os.fspath(path)}: writing the PNG failed: {error}") from error
+
+
+def _save_png(target: Path | io.BytesIO, preview: Image.Image, exposure: float) -> None:
+    info = PngInfo()
+    info.add_text("exposure", f"{exposure:g} stops")
+    info.add_text("Software", f"prtcl {__version__}")
+    preview.save(target, format="PNG", pnginfo=info)
 
 
 def _preview(image: NDArray[np.floating], exposure: float) -> Image.Image:
@@ -140,6 +146,25 @@ def srgb(linear: NDArray[np.floating]) -> NDArray[np.float64]:
     # The power is taken of the clamped value, since np.where evaluates both sides.
     curve = 1.055 * np.maximum(values, 0.0031308) ** (1.0 / 2.4) - 0.055
     return np.where(values <= 0.0031308, 12.92 * values, curve)
+
+
+def linear(encoded: ArrayLike) -> NDArray[np.float64]:
+    """Decode sRGB values to linear ones, by the transfer curve of IEC 61966-2-1.
+
+    Parameters
+    ----------
+    encoded : array of float
+        1 is white; below 0 and above 1 the curve is continued.
+
+    Returns
+    -------
+    array of float64
+        Same shape, 0 to 0 and 1 to 1.
+    """
+    values = np.asarray(encoded, dtype=np.float64)
+    # The power is taken of the clamped value, since np.where evaluates both sides.
+    curve = ((np.maximum(values, 0.04045) + 0.055) / 1.055) ** 2.4
+    return np.where(values <= 0.04045, values / 12.92, curve)
 
 
 def read_image(path: str | os.PathLike[str]) -> NDArray[np.float32]:

@@ -18,10 +18,11 @@ from trimesh.exchange.stl import load_stl
 from trimesh.geometry import triangulate_quads
 
 from prtcl.errors import InputError
+from prtcl.files.image import linear
 from prtcl.scene.mesh_gltf import load_gltf_scene
 from prtcl.scene.mesh_obj import load_obj
 from prtcl.scene.mesh_raw import PartMaterial, RawMesh, concatenate, not_read, single
-from prtcl.scene.texture import Texture, beside_by_name, decode_image, linear, unread
+from prtcl.scene.texture import Texture, beside_by_name, decode_image, unread
 
 # What exporters call the columns of a PLY.
 _PLY_COLOURS = (("red", "green", "blue"), ("diffuse_red", "diffuse_green", "diffuse_blue"), ("r", "g", "b"))

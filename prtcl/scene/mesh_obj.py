@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prtcl.errors import InputError
+from prtcl.files.image import linear
 from prtcl.scene.mesh_mtl import joined_lines, materials_of
 from prtcl.scene.mesh_raw import PartMaterial, RawMesh
-from prtcl.scene.texture import linear
 
 
 class _Lines:

@@ -9,34 +9,16 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from PIL import Image, UnidentifiedImageError
 
 from prtcl.errors import InputError
+from prtcl.files.image import linear
 
 Wrap = Literal["repeat", "clamp", "mirror"]
 WRAPS: tuple[Wrap, ...] = ("repeat", "clamp", "mirror")
 # Named, since Pillow would also try formats that start other programs (EPS runs Ghostscript).
 _FORMATS = ("PNG", "JPEG", "WEBP", "TGA", "BMP", "TIFF", "GIF", "PPM", "DDS")
-
-
-def linear(encoded: ArrayLike) -> NDArray[np.float64]:
-    """Decode sRGB values to linear ones, by the transfer curve of IEC 61966-2-1.
-
-    Parameters
-    ----------
-    encoded : array of float
-        1 is white; below 0 and above 1 the curve is continued.
-
-    Returns
-    -------
-    array of float64
-        Same shape, 0 to 0 and 1 to 1.
-    """
-    values = np.asarray(encoded, dtype=np.float64)
-    # The power is taken of the clamped value, since np.where evaluates both sides.
-    curve = ((np.maximum(values, 0.04045) + 0.055) / 1.055) ** 2.4
-    return np.where(values <= 0.04045, values / 12.92, curve)
 
 
 _LINEAR = linear(np.arange(256) / 255.0).astype(np.float32)

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from prtcl.apps.view.look import Look
-from prtcl.files.image import srgb
+from prtcl.files.image import linear, srgb
 from prtcl.scene.camera import Camera, Triple
 
 BACKDROP = 0.035
@@ -100,9 +100,9 @@ class State:
 
 def develop(image: npt.NDArray[np.float32], exposure: float) -> npt.NDArray[np.uint8]:
     """An 8-bit sRGB picture (h, w, 3) of a render (h, w, 4): exposed by stops, over a plain grey."""
-    linear = image[..., :3] * np.float32(2.0**exposure) + (1 - image[..., 3:]) * np.float32(BACKDROP)
+    shown = image[..., :3] * np.float32(2.0**exposure) + (1 - image[..., 3:]) * np.float32(BACKDROP)
     # NaN becomes black: a picture with a fault in it beats none.
-    index = np.sqrt(np.clip(np.nan_to_num(linear, nan=0.0), 0.0, 1.0)) * 4095.0 + 0.5
+    index = np.sqrt(np.clip(np.nan_to_num(shown, nan=0.0), 0.0, 1.0)) * 4095.0 + 0.5
     return np.asarray(_CURVE[index.astype(np.int16)])
 
 
@@ -130,12 +130,11 @@ def metered_exposure(image: npt.NDArray[np.float32]) -> float:
 
 def linear_colour(picked: tuple[int, ...]) -> tuple[float, float, float]:
     """Linear colour of an 8-bit sRGB one."""
-    value = np.clip(np.asarray(picked[:3], dtype=np.float64) / 255, 0.0, 1.0)
-    found = np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
-    return float(found[0]), float(found[1]), float(found[2])
+    red, green, blue = (float(v) for v in linear(np.clip(np.asarray(picked[:3]) / 255, 0.0, 1.0)))
+    return red, green, blue
 
 
-def picked_colour(linear: tuple[float, float, float]) -> tuple[int, int, int]:
+def picked_colour(colour: tuple[float, float, float]) -> tuple[int, int, int]:
     """8-bit sRGB of a linear colour."""
-    red, green, blue = (round(255 * float(v)) for v in srgb(np.clip(linear, 0.0, 1.0)))
+    red, green, blue = (round(255 * float(v)) for v in srgb(np.clip(colour, 0.0, 1.0)))
     return red, green, blue
