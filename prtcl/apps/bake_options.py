@@ -6,11 +6,6 @@ from prtcl.errors import InputError
 from prtcl.scene.bake import Bake
 
 
-def is_bake(path: str) -> bool:
-    """Whether a path names a bake rather than a mesh."""
-    return path.lower().endswith(".npz")
-
-
 def read_bake(path: str, rays: int | None, smooth: bool) -> Bake:
     """The bake at a path, unless --rays or --smooth ask for other than what it was made with.
 

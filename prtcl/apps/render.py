@@ -7,11 +7,12 @@ import json
 import sys
 from pathlib import Path
 
-from prtcl.apps.bake_options import is_bake, read_bake
+from prtcl.apps.bake_options import read_bake
 from prtcl.apps.progress import bar
 from prtcl.compute.device import Device
 from prtcl.errors import InputError
 from prtcl.files.atomic import check_not_input, check_writable
+from prtcl.scene.bake import is_bake
 from prtcl.scene.camera import Camera
 from prtcl.scene.scene import Render, Scene, read_environment
 

@@ -15,7 +15,7 @@ from prtcl.errors import InputError
 from prtcl.factors.visibility import Progress, Tracer
 from prtcl.files.atomic import replacing
 from prtcl.files.npz import read_npz
-from prtcl.scene.mesh import Mesh, PartMaterial
+from prtcl.scene.mesh import Mesh, PartMaterial, read_mesh
 from prtcl.scene.points import vertex_points
 from prtcl.scene.texture import WRAPS, Texture
 
@@ -130,6 +130,24 @@ class Bake:
             materials, (), data.get("colours"), data.get("uv"),
         )  # fmt: skip
         return cls(mesh, data["bits"], rays)
+
+
+def is_bake(path: str | os.PathLike[str]) -> bool:
+    """Whether a path names a bake rather than a mesh."""
+    return os.fspath(path).lower().endswith(".npz")
+
+
+def read_mesh_or_bake(source: Mesh | Bake | str | os.PathLike[str]) -> tuple[Mesh, Bake | None]:
+    """A mesh from any of what scenes and sessions take, and the bake it came with.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read.
+    """
+    if not isinstance(source, Mesh | Bake):
+        source = Bake.load(source) if is_bake(source) else read_mesh(source)
+    return (source.mesh, source) if isinstance(source, Bake) else (source, None)
 
 
 def _textures(mesh: Mesh) -> dict[str, npt.NDArray[Any]]:

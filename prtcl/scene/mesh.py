@@ -128,17 +128,17 @@ class Mesh:
         Parameters
         ----------
         vertices : (k,) int
-            Vertex indices. A vertex that several parts share belongs to that of its last face, as in `vertex_points`.
+            Vertex indices. A vertex that several parts share belongs to that of its last face.
 
         Returns
         -------
         (k, 3) float32
         """
         colours, uv = (None if values is None else values[vertices] for values in (self.colours, self.uv))
-        return self._colour(self._vertex_part[vertices], colours, uv)
+        return self._colour(self.vertex_part[vertices], colours, uv)
 
     @cached_property
-    def _vertex_part(self) -> NDArray[np.int32]:
+    def vertex_part(self) -> NDArray[np.int32]:
         """(n,) int32: the part of the last face that uses each vertex, 0 where none does."""
         part = np.zeros(len(self.vertices), dtype=np.int32)
         part[self.faces.reshape(-1)] = np.repeat(self.parts, 3)

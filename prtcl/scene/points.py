@@ -144,8 +144,6 @@ def vertex_points(
     """
     normals = mesh.normals if mesh.normals is not None else mesh.smooth().normals
     assert normals is not None
-    part = np.zeros(len(mesh.vertices), dtype=np.int32)
-    part[mesh.faces.ravel()] = np.repeat(mesh.parts, 3)
     chosen = np.arange(len(mesh.vertices)) if only is None else only
     positions, normal = mesh.vertices[chosen], normals[chosen].astype(np.float64)
     towards = None
@@ -158,7 +156,7 @@ def vertex_points(
         views = np.einsum("nij,nj->ni", frames, towards).astype(np.float32)
     alone = np.full(len(chosen), hemisphere.ALONE, dtype=np.int32)
     origins = tracer.origins(positions, normal, tracer.vertex_reach[chosen])
-    return Points(origins, frames, views, part[chosen], alone, eye is not None)
+    return Points(origins, frames, views, mesh.vertex_part[chosen], alone, eye is not None)
 
 
 def back_origins(mesh: Mesh, tracer: Tracer) -> npt.NDArray[np.float32]:

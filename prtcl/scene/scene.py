@@ -18,10 +18,10 @@ from prtcl.factors.material import Material
 from prtcl.factors.visibility import Tracer
 from prtcl.files.image import encode_png, write_exr, write_png
 from prtcl.files.radiance import read_radiance, require_equirectangular
-from prtcl.scene.bake import Bake
+from prtcl.scene.bake import Bake, read_mesh_or_bake
 from prtcl.scene.camera import Camera
 from prtcl.scene.film import FIRST, FIRST_HARD, Film
-from prtcl.scene.mesh import Mesh, read_mesh
+from prtcl.scene.mesh import Mesh
 from prtcl.scene.points import check_eye, shoot
 from prtcl.scene.shaders import Counter, Layer, Notify, PixelShader, VertexShader
 from prtcl.scene.tint import Tints, colour_notes
@@ -120,11 +120,8 @@ class Scene:
         smooth: bool = False,
         **settings: float | str | None,
     ) -> None:
-        self.bake: Bake | None = None
-        if not isinstance(mesh, Mesh | Bake):
-            mesh = Bake.load(mesh) if os.fspath(mesh).lower().endswith(".npz") else read_mesh(mesh)
-        if isinstance(mesh, Bake):
-            self.bake, mesh = mesh, mesh.mesh
+        mesh, self.bake = read_mesh_or_bake(mesh)
+        if self.bake is not None:
             settings = {**settings, "rays": self.bake.rays}
         self.mesh = mesh.smooth() if smooth and self.bake is None else mesh
         self.environment, self.notes = read_environment(light)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -18,9 +17,9 @@ from prtcl.errors import InputError
 from prtcl.factors.environment import Environment
 from prtcl.factors.material import Material
 from prtcl.factors.visibility import Progress, Tracer
-from prtcl.scene.bake import Bake
+from prtcl.scene.bake import Bake, read_mesh_or_bake
 from prtcl.scene.camera import Camera, Triple
-from prtcl.scene.mesh import Mesh, read_mesh
+from prtcl.scene.mesh import Mesh
 from prtcl.scene.points import back_origins, vertex_points
 from prtcl.scene.scene import Path, Render, own_materials, read_environment
 from prtcl.scene.tint import BLACK, Tints, colour_notes
@@ -104,14 +103,16 @@ class Session:
         two_sided: bool = True,
         smooth: bool = False,
     ) -> None:
-        if not isinstance(mesh, Mesh | Bake):
-            mesh = Bake.load(mesh) if os.fspath(mesh).lower().endswith(".npz") else read_mesh(mesh)
-        bake = mesh if isinstance(mesh, Bake) else None
-        mesh = mesh.mesh if isinstance(mesh, Bake) else mesh
+        mesh, bake = read_mesh_or_bake(mesh)
         if bake is not None and rays not in (None, bake.rays):
             raise InputError(
                 f"rays: the bake has {bake.rays} levels, got {rays}; bake again with --rays {rays}"
             )
+        rays = (levels if rays is None else rays) if bake is None else bake.rays
+        if not isinstance(levels, int) or not 1 <= levels <= quadtree.MAX_LEVELS:
+            raise InputError(f"levels: expected 1 to {quadtree.MAX_LEVELS}, got {levels}")
+        if bake is None and not (isinstance(rays, int) and 1 <= rays <= levels):
+            raise InputError(f"rays: expected 1 to {levels}, at most levels, got {rays}")
         self.mesh = mesh.smooth() if smooth or mesh.normals is None else mesh
         self.device = device or Device()
         self.camera = camera or Camera.framing(self.mesh.bounds)
@@ -123,11 +124,6 @@ class Session:
         self._future: list[tuple[Material, ...]] = []
         self._outfit: _Outfit | None = None
         self.tracer = Tracer(self.mesh.vertices, self.mesh.faces)
-        rays = (levels if rays is None else rays) if bake is None else bake.rays
-        if not isinstance(levels, int) or not 1 <= levels <= quadtree.MAX_LEVELS:
-            raise InputError(f"levels: expected 1 to {quadtree.MAX_LEVELS}, got {levels}")
-        if bake is None and not (isinstance(rays, int) and 1 <= rays <= levels):
-            raise InputError(f"rays: expected 1 to {levels}, at most levels, got {rays}")
         self._viewfinder = Viewfinder(self.mesh, self.tracer, two_sided)
         points = vertex_points(self.mesh, self.tracer)
         self._parts = len(self.mesh.materials)

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from prtcl import quadtree
-from prtcl.apps.bake_options import is_bake, read_bake
+from prtcl.apps.bake_options import read_bake
 from prtcl.apps.progress import bar
 from prtcl.apps.view import web
 from prtcl.apps.view.look import Look
@@ -26,7 +26,7 @@ from prtcl.compute.device import Device
 from prtcl.errors import InputError
 from prtcl.factors.material import Material
 from prtcl.factors.visibility import Progress
-from prtcl.scene.bake import Bake
+from prtcl.scene.bake import Bake, is_bake
 from prtcl.scene.camera import Camera
 from prtcl.scene.mesh import Mesh, read_mesh
 from prtcl.scene.scene import own_materials
