@@ -44,6 +44,11 @@ def cache_bytes(device: Device, share: int = 1) -> int:
     return min(device.memory // 8, device.max_allocation - device.max_allocation // 8) // share
 
 
+def largest_buffer(device: Device) -> int:
+    """Bytes that one buffer may take which is kept as long as a session: a quarter of the memory is for the rest."""
+    return min(device.max_allocation, device.memory * 3 // 4)
+
+
 def chunks(count: int, size: int) -> Iterator[slice]:
     """Slices of at most `size` that cover ``range(count)``."""
     for start in range(0, count, size):

@@ -9,6 +9,7 @@ wrong, those of things smaller than a block that lie on no corner of one (bench/
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
@@ -32,7 +33,7 @@ def visibility(points: int, levels: int, visible: Callable[[Indices, Indices], B
     visible : whether some rays reach the light, given each one's point and its sample's number in Morton order
     """
     side = 1 << levels
-    morton = quadtree.grid_to_morton(levels)
+    morton, order = _tables(levels)
     step = max(1, min(LARGEST, side // BLOCKS))
 
     def trace(which: Bits) -> Bits:
@@ -48,8 +49,14 @@ def visibility(points: int, levels: int, visible: Callable[[Indices, Indices], B
         known = np.isin(_outermost(side, step), before)
         again[:, known[:, None] & known] = False
         seen[again] = trace(again)
+    return np.take(seen.reshape(points, -1), order, axis=1)
+
+
+@lru_cache(maxsize=16)
+def _tables(levels: int) -> tuple[Indices, Indices]:
+    """Morton number of every cell of the grid, and each Morton number's place in the grid, row by row."""
     rows, columns = quadtree.morton_to_grid(levels)
-    return np.take(seen.reshape(points, -1), rows * side + columns, axis=1)
+    return quadtree.grid_to_morton(levels), (rows << levels) + columns
 
 
 def _outermost(side: int, step: int) -> Indices:

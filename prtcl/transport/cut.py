@@ -68,17 +68,12 @@ def bins(side: int = SIDE) -> Array:
     return np.stack(out, axis=1)
 
 
-def stand_ins(material: Material) -> tuple[Material, ...]:
-    """Materials whose cuts serve `material`: its lobe's width in steps, with and without what else there is.
-
-    Colours do not matter, and how lobe and base are mixed need not: the cut holds for both. So an edit of a colour or
-    an index finds the cut it had.
-    """
-    return ends(material)[0]
-
-
 def ends(material: Material) -> tuple[tuple[Material, ...], tuple[Material, ...], float]:
-    """Stand-ins at the sharp and at the wide end of a step of lobe widths, and where between them `material` is."""
+    """Stand-ins at the sharp and at the wide end of a step of lobe widths, and where between them `material` is.
+
+    Each end is the lobe with and without what else there is. Colours do not matter, and how lobe and base are mixed
+    need not: a cut holds for both. So an edit of a colour or an index finds the cut it had.
+    """
     if material.kind == "lambert":
         own = (Material.parse("lambert:albedo=0.5"),)
         return own, own, 0.0
@@ -139,8 +134,8 @@ def build(below: list[Array], error: float) -> Cut:
     return Cut(square.astype(np.int32), starts, ones, float(np.sqrt(left_out.mean())))
 
 
-def weights(own: Cut, means: Array, material: Material, device: Device) -> npt.NDArray[np.float32]:
-    """What f in the middle of each of a cut's leaves counts for, for one material.
+def weights(packed: Materials, levels: int, own: Cut, means: Array) -> npt.NDArray[np.float32]:
+    """What f in the middle of each of a cut's leaves counts for, for the first of some materials.
 
     A lobe's tail is convex: f in the middle of a leaf is less than its mean there, and pictures come out dark, by a
     percent and more where leaves are large. What f in the middle must be multiplied by changes little with the view.
@@ -150,21 +145,22 @@ def weights(own: Cut, means: Array, material: Material, device: Device) -> npt.N
     ----------
     means : (bins, squares) as `mean_reflectance` gives them, for this material
     """
-    levels = round(math.log(3 * means.shape[1] + 1, 4)) - 1
     bin_of = np.repeat(np.arange(len(own.starts) - 1), np.diff(own.starts))
     directions = leaf_directions(levels).astype(np.float64)[own.leaves]
     level_of = np.repeat(np.arange(levels + 1), 4 ** np.arange(levels + 1))[own.leaves]
     cosine = directions[:, 3] * 4.0**level_of / (2 * np.pi)
-    f = Materials(device, [material]).evaluate(0, directions[:, :3], bins()[bin_of, 0]).mean(axis=1) * cosine
+    f = packed.evaluate(0, directions[:, :3], bins()[bin_of, 0]).mean(axis=1) * cosine
     ratio = np.divide(means[bin_of, own.leaves], f, out=np.ones(len(f)), where=f > 0)
     return np.where(level_of < levels, np.clip(ratio, 1 / TRUST, TRUST), 1.0).astype(np.float32)
 
 
-def mean_reflectance(material: Material, levels: int, device: Device) -> Array:
-    """Mean of f times the cosine over every square, for the middle view of every bin: (bins, squares), grey."""
-    packed = Materials(device, [material])
+def mean_reflectance(packed: Materials, levels: int) -> Array:
+    """Mean of f times the cosine over every square, for the middle view of every bin: (bins, squares), grey.
+
+    Of the first of some materials.
+    """
     views = bins()[:, 0]
-    samples = haar.inverse(device, packed.slices(views, levels, sub=1)[0].reshape(-1, 4**levels)).get()
+    samples = haar.inverse(packed.device, packed.slices(views, levels, sub=1)[0].reshape(-1, 4**levels)).get()
     finest = samples.reshape(len(views), -1, 4**levels).mean(axis=1, dtype=np.float64)
     rows = [finest]
     for _ in range(levels):

@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from prtcl import quadtree
-from prtcl.compute.chunks import chunk_size, chunks
+from prtcl.compute.chunks import chunk_size, chunks, largest_buffer
 from prtcl.compute.device import Device
 from prtcl.errors import DeviceError
 from prtcl.factors.environment import Environment, Light
@@ -64,7 +64,7 @@ class Relit:
         self.settings = Settings(levels=levels, rays=rays, keep=levels)
         count = len(points)
         needed = count * pyramid.row_bytes(levels)
-        if needed > min(device.max_allocation, device.memory * 3 // 4):
+        if needed > largest_buffer(device):
             raise DeviceError(
                 f"{device.name}: {count} points at 4^{levels} directions keep {needed / 2**30:.1f} GiB in one "
                 f"buffer, its largest is {device.max_allocation / 2**30:.1f} GiB\nuse fewer levels, or a coarser mesh"
@@ -139,9 +139,15 @@ class Relit:
         each = self.channels * quadtree.n_samples(self.settings.levels) * np.dtype(self.device.dtype).itemsize
         for part in chunks(len(new), chunk_size(self.device, 2 * each, each)):
             some = new[part]
-            pyramid.pack(
-                self.device, self._product(some), self.device.array(some, np.int32), self._sums, self.scale
+            product = collapse.product_samples(
+                self.device,
+                self.light,
+                self._bits[some],
+                self.points.frames[some],
+                self.settings,
+                self.channels,
             )
+            pyramid.pack(self.device, product, self.device.array(some, np.int32), self._sums, self.scale)
         if self._hard is not None:
             points = self.points[new]
             seen = self.tracer.light_visibility(
@@ -150,17 +156,6 @@ class Relit:
             self._hard.collapse(seen, new)
         self.collapsed[new] = True
         return len(new)
-
-    def _product(self, chosen: Indices) -> Any:
-        assert self.light is not None
-        return collapse.product_samples(
-            self.device,
-            self.light,
-            self._bits[chosen],
-            self.points.frames[chosen],
-            self.settings,
-            self.channels,
-        )
 
     # --- materials ------------------------------------------------------------------------------------------
 

@@ -175,8 +175,9 @@ class HardSums:
         ----------
         error : relative to the mean radiance under the whole light
         """
-        own = error / max(self.share, 1e-6)
-        cuts = [self.tree.cut(material.roughness, own) for material in materials]
+        own, widths = error / max(self.share, 1e-6), [material.roughness for material in materials]
+        found = {width: self.tree.cut(width, own) for width in set(widths)}
+        cuts = [found[width] for width in widths]
         starts = np.concatenate([[0], np.cumsum([len(own) for own in cuts])])
         return self.device.array(np.concatenate(cuts), np.int32), self.device.array(starts, np.int32)
 

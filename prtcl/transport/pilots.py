@@ -102,25 +102,19 @@ class Pilots:
         cut : its `error` is the largest that was measured
         """
         below = cut.energies(self.device, sharp, self.levels, self.spread)
+        packed = [[Materials(self.device, [material]) for material in end] for end in (sharp, wide)]
         # Weights are those of the last, which stands nearest to the material.
-        means = [cut.mean_reflectance(end[-1], self.levels, self.device) for end in (sharp, wide)]
-        trials = [
-            (place, material, *self._truth(material))
-            for place, end in enumerate((sharp, wide))
-            for material in end
-        ]
+        nearest = [(end[-1], cut.mean_reflectance(end[-1], self.levels)) for end in packed]
+        trials = [(place, one, *self._truth(one)) for place, end in enumerate(packed) for one in end]
         asked, best = error / GUESS, None
         for _ in range(TRIES):
             own = cut.build(below, asked)
-            weights = [
-                cut.weights(own, mean, end[-1], self.device)
-                for mean, end in zip(means, (sharp, wide), strict=True)
-            ]
+            weights = [cut.weights(one, self.levels, own, means) for one, means in nearest]
             own = replace(own, weights=np.stack(weights))
             leaves = [Leaves(self.device, self.squares, [own], [place]) for place in (0.0, 1.0)]
             found = max(
-                _rmse(self._radiance(material, leaves[place]), want) / mean if mean > 0.0 else 0.0
-                for place, material, want, mean in trials
+                _rmse(self._radiance(one, leaves[place]), want) / mean if mean > 0.0 else 0.0
+                for place, one, want, mean in trials
             )
             own = replace(own, error=found)
             best = own if best is None else min(best, own, key=lambda c: _worth(c, error))
@@ -131,12 +125,12 @@ class Pilots:
         assert best is not None
         return best
 
-    def _truth(self, material: Material) -> tuple[npt.NDArray[np.floating], float]:
+    def _truth(self, one: Materials) -> tuple[npt.NDArray[np.floating], float]:
         """Soft radiance over all samples, and the mean under the whole light."""
-        soft = self._radiance(material, self._all)
-        return soft, self._whole_mean(material, float(soft.mean(dtype=np.float64)))
+        soft = self._radiance(one, self._all)
+        return soft, self._whole_mean(one, float(soft.mean(dtype=np.float64)))
 
-    def _whole_mean(self, material: Material, soft: float) -> float:
+    def _whole_mean(self, one: Materials, soft: float) -> float:
         """Mean radiance of the pilots under the whole light.
 
         Few of their views meet a glint: what they see of the hard light is rather less than all views do, and where one
@@ -144,19 +138,15 @@ class Pilots:
         """
         if self._hard is None:
             return soft
-        materials = Materials(self.device, [material])
         out = self.device.array(np.zeros((len(self._chosen), 4)))
-        lists = self._hard.lists([material], 0.0)
-        self._hard.add_radiance(
-            materials, lists, self._chosen, self._material, self._frames, self._views, out
-        )
+        lists = self._hard.lists(one.list, 0.0)
+        self._hard.add_radiance(one, lists, self._chosen, self._material, self._frames, self._views, out)
         share = min(self.light.hard_share, 1.0 - 1e-3)
         return soft + min(float(out.get()[:, :3].mean(dtype=np.float64)), soft * share / (1.0 - share))
 
-    def _radiance(self, material: Material, leaves: Leaves) -> npt.NDArray[np.floating]:
+    def _radiance(self, one: Materials, leaves: Leaves) -> npt.NDArray[np.floating]:
         out = self.device.empty((len(self._chosen), 4))
-        materials = Materials(self.device, [material])
-        leaves.shade(materials, self._material, self._sums, self._chosen, self._views, out, 1.0 / self._scale)
+        leaves.shade(one, self._material, self._sums, self._chosen, self._views, out, 1.0 / self._scale)
         return np.asarray(out.get()[:, :3])
 
 

@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from prtcl.apps.view.state import State, metered_exposure
+from prtcl.compute.chunks import largest_buffer
 from prtcl.compute.device import Device
 from prtcl.errors import InputError
 from prtcl.factors.environment import Environment
@@ -229,7 +230,7 @@ class Studio:
 
 def _fitting(device: Device, vertices: int) -> int:
     """The most levels, up to `LEVELS`, whose sums the device holds in one buffer."""
-    room = min(device.max_allocation, device.memory * 3 // 4)
+    room = largest_buffer(device)
     for fitting in range(LEVELS, 3, -1):
         if vertices * pyramid.row_bytes(fitting) <= room:
             return fitting
