@@ -17,14 +17,13 @@ told (bench/path_tracer.py).
 from __future__ import annotations
 
 import argparse
-import json
 import time
 from pathlib import Path
 
 import numpy as np
 import scenes
+from exact import Exact
 
-from prtcl import reference
 from prtcl.apps.cli import size
 from prtcl.compute.device import Device
 from prtcl.factors.material import Material
@@ -32,17 +31,12 @@ from prtcl.scene.camera import Camera
 from prtcl.scene.points import pixel_points, shoot
 from prtcl.scene.scene import Scene
 
-THRESHOLD = 30.0
-"""Peaks start at this many times the mean radiance: well above the render's own threshold of ten."""
 LEVELS, POINTS, PEAK_SIDE = 5, 1024, 4
 
 
-def reference_pixel(
-    scene: Scene, pixel: int, materials: list[dict], peaks: tuple, threshold: float
-) -> np.ndarray:  # type: ignore[type-arg]
+def reference_pixel(scene: Scene, pixel: int, materials: list[dict], exact: Exact) -> np.ndarray:  # type: ignore[type-arg]
     """(materials, 2 halves, 3) radiance of one pixel."""
-    total = np.zeros((len(materials), 2, 3))
-    image, count = scene.environment.image, POINTS // 2
+    total, count = np.zeros((len(materials), 2, 3)), POINTS // 2
     for half in (0, 1):
         rng = np.random.default_rng([pixel, half])
         # Numbers far beyond those the render uses: the reference shares no sub-pixel point with it. An aligned run
@@ -51,17 +45,8 @@ def reference_pixel(
         points = pixel_points(scene.mesh, scene.tracer, hits, np.zeros(len(hits.ray), dtype=np.int64))
         for i in range(len(points)):
             axes, view = points.frames[i].astype(np.float64), points.views[i].astype(np.float64)
-            local = reference.directions(LEVELS, tuple(rng.random((2, 4**LEVELS))))
-            soft = reference.environment_below(image, local @ axes, threshold) * (2 * np.pi / 4**LEVELS)
-            above = peaks[0] @ axes[2] > 0
-            local = np.concatenate([local, peaks[0][above] @ axes.T])
-            light = np.concatenate([soft, peaks[1][above]])
-            origins = np.repeat(points.origins[i : i + 1], len(local), axis=0)
-            seen = ~scene.tracer.occluded(origins, (local @ axes).astype(np.float32))
-            incoming = light[seen] * local[seen, 2:3]
-            for m, material in enumerate(materials):
-                f = reference.brdf(material, local[seen], view)
-                total[m, half] += (incoming * f).sum(axis=0) / count
+            places = tuple(rng.random((2, 4**LEVELS)))
+            total[:, half] += exact.radiance(points.origins[i : i + 1], axes, view, materials, places) / count
     return total
 
 
@@ -85,10 +70,7 @@ def main() -> None:
                 )
                 scene.camera = Camera.framing(scene.mesh.bounds, size=options.size)
                 renders.append((spec, scene.render()))
-            solid = scene.environment.texel_solid_angles()[:, None]
-            mean = float((scene.environment.image.mean(axis=2) * solid).sum() / (4 * np.pi))
-            threshold = THRESHOLD * mean
-            peaks = reference.peaks(scene.environment.image, threshold, PEAK_SIDE)
+            exact = Exact(scene.environment, scene.tracer, LEVELS, PEAK_SIDE)
             covered = np.nonzero(renders[0][1].image[..., 3].ravel() > 0)[0]
             grey = renders[0][1].image[..., :3].sum(axis=2).ravel()[covered]
             ranked = covered[np.argsort(grey, kind="stable")]
@@ -97,11 +79,11 @@ def main() -> None:
             pixels = np.array([rng.choice(stratum) for stratum in strata if len(stratum)])
             start = time.perf_counter()
             materials = [Material.parse(spec).reference() for spec in scenes.MATERIALS]
-            exact = np.stack([reference_pixel(scene, int(p), materials, peaks, threshold) for p in pixels])
+            halves = np.stack([reference_pixel(scene, int(p), materials, exact) for p in pixels])
             seconds = time.perf_counter() - start
             for m, (spec, render) in enumerate(renders):
-                truth = exact[:, m].mean(axis=1)
-                noise = float(np.sqrt(((exact[:, m, 0] - exact[:, m, 1]) ** 2).mean() / 4) / truth.mean())
+                truth = halves[:, m].mean(axis=1)
+                noise = float(np.sqrt(((halves[:, m, 0] - halves[:, m, 1]) ** 2).mean() / 4) / truth.mean())
                 got = render.image.reshape(-1, 4)[pixels, :3]
                 row = {
                     "mesh": mesh,
@@ -124,14 +106,9 @@ def main() -> None:
                     f"  {row['seconds']:.1f} s  reference {seconds:.0f} s",
                     flush=True,
                 )
-    if options.output is not None:
-        result = {
-            "device": device.name,
-            "size": options.size,
-            "command": "python bench/accuracy.py",
-            "rows": rows,
-        }
-        options.output.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+    scenes.save(
+        options.output, device=device.name, size=options.size, command="python bench/accuracy.py", rows=rows
+    )
     if any(row["relative_rmse"] > row["limit"] for row in rows):
         raise SystemExit("a limit was missed")
 

@@ -11,7 +11,6 @@ one, median of seven.
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import shutil
 import signal
@@ -82,9 +81,8 @@ class Tab:
 
     def slide(self) -> None:
         end = time.perf_counter() + 4.0
-        key = "ArrowRight"
         while time.perf_counter() < end:
-            self.page.keyboard.press(key)
+            self.page.keyboard.press("ArrowRight")
             self.page.wait_for_timeout(50)
 
     def delays(self) -> dict[str, float]:
@@ -140,13 +138,10 @@ def main() -> None:
     for name, row in rows.items():
         print(name, {k: round(v, 1) for k, v in row.items()})
     print(status)
-    if options.output is not None:
-        result = {
-            "device": line.partition("(")[2].partition(",")[0], "command": "python bench/browser.py",
-            "mesh": options.mesh, "environment": options.environment, "page": [1280, 800], "rows": rows,
-            "status": status,
-        }  # fmt: skip
-        options.output.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+    scenes.save(
+        options.output, device=line.partition("(")[2].partition(",")[0], command="python bench/browser.py",
+        mesh=options.mesh, environment=options.environment, page=[1280, 800], rows=rows, status=status,
+    )  # fmt: skip
 
 
 if __name__ == "__main__":

@@ -9,7 +9,6 @@ One view each, at 4^6 directions: relative RMSE over the covered pixels of `erro
 from __future__ import annotations
 
 import argparse
-import json
 from pathlib import Path
 
 import numpy as np
@@ -55,7 +54,7 @@ def main() -> None:
                 mean = exact[covered][:, :3].mean()
                 row = {
                     "mesh": mesh, "environment": environment, "material": material.spec,
-                    "relative_rmse": float(np.sqrt((off**2).mean()) / mean), "bias": float(off.mean() / mean),
+                    "relative_rmse": scenes.relative_rmse(made.image, exact), "bias": float(off.mean() / mean),
                     "expected": made.report["expected_error"],
                 }  # fmt: skip
                 rows.append(row)
@@ -68,14 +67,9 @@ def main() -> None:
     print(
         f"{(found <= ERROR).sum()} of {len(found)} at most {100 * ERROR:g} %, the largest {100 * found.max():.2f} %"
     )
-    if options.output is not None:
-        result = {
-            "device": device.name,
-            "command": "python bench/cut_errors.py",
-            "error": ERROR,
-            "rows": rows,
-        }
-        options.output.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+    scenes.save(
+        options.output, device=device.name, command="python bench/cut_errors.py", error=ERROR, rows=rows
+    )
 
 
 if __name__ == "__main__":

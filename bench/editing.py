@@ -11,50 +11,34 @@ float64 at a sample of vertices, rays by embree. Medians of nine frames after a 
 from __future__ import annotations
 
 import argparse
-import json
 import time
 from pathlib import Path
 from statistics import median
 
 import numpy as np
 import scenes
+from exact import Exact
 
-from prtcl import reference
 from prtcl.compute.device import Device
+from prtcl.factors.material import Material
 from prtcl.scene.points import vertex_points
 from prtcl.scene.session import Session
 
 SPECS = ("lambert:albedo=0.5", "ggx:alpha=0.3,eta=0.2,k=3.0", "ggx:alpha=0.3,f0=0.04,kd=0.5",
          "ggx:alpha=0.1,eta=0.2,k=3.0", "ggx:alpha=0.05,eta=0.2,k=3.0")  # fmt: skip
-FRAMES, LEVELS, THRESHOLD, POINTS = 9, 8, 30.0, 40_000
+FRAMES, LEVELS, PEAK_SIDE, POINTS = 9, 8, 2, 40_000
 
 
 def truth(session: Session, vertices: np.ndarray, eye: np.ndarray) -> np.ndarray:  # type: ignore[type-arg]
     """(materials, vertices, 3) by the definition: soft light on 4^8 directions, its peaks by half texels."""
-    environment, mesh = session.light, session.mesh
-    points = vertex_points(mesh, session.tracer, None, vertices)
-    solid = environment.texel_solid_angles()[:, None]
-    threshold = THRESHOLD * float((environment.image.mean(axis=2) * solid).sum() / (4 * np.pi))
-    peaks = reference.peaks(environment.image, threshold)
+    exact = Exact(session.light, session.tracer, LEVELS, PEAK_SIDE)
+    points = vertex_points(session.mesh, session.tracer, None, vertices)
+    materials = [Material.parse(spec).reference() for spec in SPECS]
     out = np.zeros((len(SPECS), len(vertices), 3))
     for i in range(len(vertices)):
         axes = points.frames[i].astype(np.float64)
-        view = axes @ (eye - mesh.vertices[vertices[i]])
-        view /= np.linalg.norm(view)
-        local = reference.directions(LEVELS)
-        world = local @ axes
-        light = reference.environment_below(environment.image, world, threshold) * (2 * np.pi / 4**LEVELS)
-        up = peaks[0] @ axes[2] > 0
-        local, world = np.vstack([local, peaks[0][up] @ axes.T]), np.vstack([world, peaks[0][up]])
-        light = np.vstack([light, peaks[1][up]])
-        origins = np.repeat(points.origins[i : i + 1], len(world), axis=0)
-        seen = ~session.tracer.occluded(origins, world.astype(np.float32))
-        incoming = light[seen] * local[seen, 2:3]
-        for m, spec in enumerate(SPECS):
-            session.material = spec
-            out[m, i] = (incoming * reference.brdf(session.material.reference(), local[seen], view)).sum(
-                axis=0
-            )
+        view = axes @ (eye - session.mesh.vertices[vertices[i]])
+        out[:, i] = exact.radiance(points.origins[i : i + 1], axes, view / np.linalg.norm(view), materials)
     return out
 
 
@@ -118,13 +102,11 @@ def main() -> None:
             f"cut error {100 * row['cut_error']:.2f} %, error {100 * row['error']:.2f} %, {stages}",
             flush=True,
         )
-    if options.output is not None:
-        result = {
-            "device": device.name, "driver": device.handle.driver_version, "command": "python bench/editing.py",
-            "mesh": options.mesh, "environment": options.environment, "vertices": len(mesh.vertices),
-            "facing": len(facing), "shaded": len(shaded), "once_seconds": once, "rows": rows,
-        }  # fmt: skip
-        options.output.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+    scenes.save(
+        options.output, device=device.name, driver=device.handle.driver_version,
+        command="python bench/editing.py", mesh=options.mesh, environment=options.environment,
+        vertices=len(mesh.vertices), facing=len(facing), shaded=len(shaded), once_seconds=once, rows=rows,
+    )  # fmt: skip
 
 
 def rmse(got: np.ndarray, exact: np.ndarray, weight: np.ndarray) -> float:  # type: ignore[type-arg]

@@ -10,7 +10,6 @@ check of the picture, not a race at equal error.
 from __future__ import annotations
 
 import argparse
-import json
 import time
 from pathlib import Path
 
@@ -65,14 +64,10 @@ def main() -> None:
                     "  ".join(f"{k} {v:.4f}" if isinstance(v, float) else f"{k} {v}" for k, v in row.items()),
                     flush=True,
                 )
-    if options.output is not None:
-        result = {
-            "device": device.name,
-            "size": options.size,
-            "command": f"python bench/path_tracer.py --spp {options.spp}",
-            "rows": rows,
-        }
-        options.output.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+    scenes.save(
+        options.output, device=device.name, size=options.size,
+        command=f"python bench/path_tracer.py --spp {options.spp}", rows=rows,
+    )  # fmt: skip
 
 
 if __name__ == "__main__":

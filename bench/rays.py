@@ -10,10 +10,10 @@ of sum V cosine (`hemisphere.ray_weights`). No mesh: the demo's own.
 from __future__ import annotations
 
 import argparse
-import json
 from pathlib import Path
 
 import numpy as np
+import scenes
 
 from prtcl.apps.demo_scene import build
 from prtcl.factors import hemisphere
@@ -61,8 +61,7 @@ def main() -> None:
             print(
                 f"{mesh.name:16} {4**rays:5} rays: {100 * errors[0]:.2f} % plain, {100 * errors[1]:.2f} % weighted"
             )
-    if options.output is not None:
-        options.output.write_text(json.dumps({"rows": rows}, indent=1) + "\n", encoding="utf-8")
+    scenes.save(options.output, rows=rows)
 
 
 if __name__ == "__main__":

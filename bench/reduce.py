@@ -10,13 +10,13 @@ written), against what a device-to-device copy of the same light reaches in this
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from pathlib import Path
 from statistics import median
 
 import numpy as np
 import pyopencl as cl
+import scenes
 
 from prtcl import reference
 from prtcl.compute.device import Device
@@ -103,9 +103,7 @@ def main() -> None:
         rows.append({"case": "copy", "levels": levels, "points": count, "gb_per_second": copy})
     for row in rows:
         print("  ".join(f"{k} {v:.4g}" if isinstance(v, float) else f"{k} {v}" for k, v in row.items()))
-    if options.output is not None:
-        result = {"device": device.name, "driver": device.handle.driver_version, "rows": rows}
-        options.output.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+    scenes.save(options.output, device=device.name, driver=device.handle.driver_version, rows=rows)
     if wrong:
         sys.exit("a result was wrong")
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import sys
 from pathlib import Path
@@ -29,6 +30,15 @@ def mesh_path(name: str) -> Path:
 
 def environment_path(name: str) -> Path:
     return DATA / "environments" / f"{name}.exr"
+
+
+def save(output: Path | None, **result: object) -> None:
+    """Write a benchmark's JSON aside and rename it, where a file is named."""
+    from prtcl.files.atomic import replacing
+
+    if output is not None:
+        with replacing(output) as aside:
+            aside.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
 
 
 def relative_rmse(image, reference) -> float:  # type: ignore[no-untyped-def]

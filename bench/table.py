@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 RESULTS = Path(__file__).resolve().parent / "results"
+Data = dict[str, Any]
+"""What a results file of the function's name holds."""
 
 
-def accuracy() -> None:
+def accuracy(data: Data) -> None:
     """Error against the float64 reference, a line a scene, a column a material."""
-    data = json.loads((RESULTS / "accuracy.json").read_text(encoding="utf-8"))
     materials = list(dict.fromkeys(row["material"] for row in data["rows"]))
     print("| mesh | environment | " + " | ".join(f"`{m}`" for m in materials) + " |")
     print("|---" * (2 + len(materials)) + "|")
@@ -25,74 +27,61 @@ def accuracy() -> None:
     print(f"\n{data['size'][0]} × {data['size'][1]} pixels, {data['device']}, `{data['command']}`\n")
 
 
-def mitsuba() -> None:
+def mitsuba(data: Data) -> None:
     """Error against the path tracer: its own noise taken off, the worst of each material."""
-    path = RESULTS / "mitsuba.json"
-    if path.is_file():
-        data = json.loads(path.read_text(encoding="utf-8"))
+    print(
+        "| material | scenes | error without Mitsuba's noise, median and worst | that noise | bias, worst |"
+    )
+    print("|---|---|---|---|---|")
+    for material in dict.fromkeys(row["material"] for row in data["rows"]):
+        rows = [row for row in data["rows"] if row["material"] == material]
+        own = sorted(max(0.0, r["relative_rmse"] ** 2 - r["mitsuba_noise"] ** 2) ** 0.5 for r in rows)
+        noise = sorted(row["mitsuba_noise"] for row in rows)
+        bias = max((row["bias"] for row in rows), key=abs)
         print(
-            "| material | scenes | error without Mitsuba's noise, median and worst | that noise | bias, worst |"
+            f"| `{material}` | {len(rows)} | {100 * own[len(own) // 2]:.2f} %, {100 * own[-1]:.2f} % | "
+            f"{100 * noise[0]:.2f} to {100 * noise[-1]:.2f} % | {100 * bias:+.2f} % |"
         )
-        print("|---|---|---|---|---|")
-        for material in dict.fromkeys(row["material"] for row in data["rows"]):
-            rows = [row for row in data["rows"] if row["material"] == material]
-            own = sorted(max(0.0, r["relative_rmse"] ** 2 - r["mitsuba_noise"] ** 2) ** 0.5 for r in rows)
-            noise = sorted(row["mitsuba_noise"] for row in rows)
-            bias = max((row["bias"] for row in rows), key=abs)
-            print(
-                f"| `{material}` | {len(rows)} | {100 * own[len(own) // 2]:.2f} %, {100 * own[-1]:.2f} % | "
-                f"{100 * noise[0]:.2f} to {100 * noise[-1]:.2f} % | {100 * bias:+.2f} % |"
-            )
 
 
-def editing() -> None:
+def editing(data: Data) -> None:
     """Frame time and error of a session's materials."""
-    path = RESULTS / "editing.json"
-    if path.is_file():
-        data = json.loads(path.read_text(encoding="utf-8"))
-        print("\n| material | a frame | frames/s | leaves, nodes | error of the cuts | whole error |")
-        print("|---|---|---|---|---|---|")
-        for row in data["rows"]:
-            stages = " + ".join(f"{ms:.1f}" for ms in row["device_ms"].values())
-            print(
-                f"| `{row['material']}` | {row['milliseconds']:.0f} ms ({stages}) | {row['frames_per_second']:.0f} | "
-                f"{row['leaves']:.0f}, {row['hard_nodes']} | {100 * row['cut_error']:.2f} % | "
-                f"{100 * row['error']:.2f} % |"
-            )
+    print("\n| material | a frame | frames/s | leaves, nodes | error of the cuts | whole error |")
+    print("|---|---|---|---|---|---|")
+    for row in data["rows"]:
+        stages = " + ".join(f"{ms:.1f}" for ms in row["device_ms"].values())
         print(
-            f"\n{data['mesh']}, {data['vertices']} vertices, {data['shaded']} points shaded, {data['environment']}, "
-            f"{data['device']}; once: {data['once_seconds']}\n"
+            f"| `{row['material']}` | {row['milliseconds']:.0f} ms ({stages}) | {row['frames_per_second']:.0f} | "
+            f"{row['leaves']:.0f}, {row['hard_nodes']} | {100 * row['cut_error']:.2f} % | "
+            f"{100 * row['error']:.2f} % |"
         )
+    print(
+        f"\n{data['mesh']}, {data['vertices']} vertices, {data['shaded']} points shaded, {data['environment']}, "
+        f"{data['device']}; once: {data['once_seconds']}\n"
+    )
 
 
-def visibility() -> None:
+def visibility(data: Data) -> None:
     """Rays saved, and what that costs."""
-    path = RESULTS / "visibility.json"
-    if path.is_file():
-        data = json.loads(path.read_text(encoding="utf-8"))
+    print(
+        "\n| mesh | cells | every ray, of bare embree | rays traced | wrong bits | times as fast | points/s |"
+    )
+    print("|---|---|---|---|---|---|---|")
+    for row in data["rows"]:
         print(
-            "\n| mesh | cells | every ray, of bare embree | rays traced | wrong bits | times as fast | points/s |"
+            f"| {row['mesh']} | {row['cells']} | {100 * row['every_of_bare']:.0f} % | 1/{row['rays_saved']:.1f} | "
+            f"{100 * row['wrong_bits']:.3f} % | {row['times_faster']:.1f} | {row['points_per_second']:,.0f} |"
         )
-        print("|---|---|---|---|---|---|---|")
-        for row in data["rows"]:
-            print(
-                f"| {row['mesh']} | {row['cells']} | {100 * row['every_of_bare']:.0f} % | 1/{row['rays_saved']:.1f} | "
-                f"{100 * row['wrong_bits']:.3f} % | {row['times_faster']:.1f} | {row['points_per_second']:,.0f} |"
-            )
 
 
-def browser() -> None:
+def browser(data: Data) -> None:
     """What a browser gets of the viewer."""
-    path = RESULTS / "browser.json"
-    if path.is_file():
-        data = json.loads(path.read_text(encoding="utf-8"))
-        for name, row in data["rows"].items():
-            print(f"{name}: " + ", ".join(f"{key} {value:.1f}" for key, value in row.items()))
+    for name, row in data["rows"].items():
+        print(f"{name}: " + ", ".join(f"{key} {value:.1f}" for key, value in row.items()))
 
 
 if __name__ == "__main__":
-    accuracy()
-    mitsuba()
-    editing()
-    visibility()
-    browser()
+    for table in (accuracy, mitsuba, editing, visibility, browser):
+        path = RESULTS / f"{table.__name__}.json"
+        if path.is_file():
+            table(json.loads(path.read_text(encoding="utf-8")))

@@ -9,7 +9,6 @@ takes: no directions turned, no bits packed. Medians of five runs.
 from __future__ import annotations
 
 import argparse
-import json
 import platform
 import time
 from collections.abc import Callable
@@ -84,12 +83,10 @@ def main() -> None:
                 "  ".join(f"{k} {v:.4g}" if isinstance(v, float) else f"{k} {v}" for k, v in row.items()),
                 flush=True,
             )
-    if options.output is not None:
-        result = {
-            "device": f"embree, {visibility.threads()} cores of {platform.machine()}",
-            "command": "python bench/visibility.py", "rows": rows,
-        }  # fmt: skip
-        options.output.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+    scenes.save(
+        options.output, device=f"embree, {visibility.threads()} cores of {platform.machine()}",
+        command="python bench/visibility.py", rows=rows,
+    )  # fmt: skip
 
 
 if __name__ == "__main__":
