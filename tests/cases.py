@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 from numpy.typing import NDArray
 
 from prtcl import quadtree, reference
 from prtcl.compute.device import Device
+from prtcl.factors.sky import sun_sky
+from prtcl.files.image import write_exr
+from prtcl.scene.camera import Camera
 
 GROUP_EDGES = (1, 63, 64, 65, 131)
 """Row counts about a work-group of 64, and a prime of several groups."""
+
+DEMO_CAMERA = Camera((3.1, 2.5, 5.4), (-0.1, 0.75, -0.3), fov=38.0, size=(40, 30))
+"""Sees all of the demo's scene."""
 
 KINDS = ("random", "sparse", "constant", "high dynamic range")
 
@@ -63,6 +71,16 @@ def pack_bits(seen: NDArray[np.bool_]) -> NDArray[np.uint32]:
     for s in range(count):
         words[:, s // 32] |= seen[:, s].astype(np.uint32) << np.uint32(s % 32)
     return words
+
+
+def write_skies(folder: Path, height: int) -> dict[str, Path]:
+    """Two environments as EXR files, a high and a low sun: name to path."""
+    found = {}
+    for name, elevation in (("noon", 60.0), ("late", 10.0)):
+        sky = sun_sky(height, sun_elevation=elevation, sun_azimuth=130.0)
+        found[name] = folder / f"{name}.exr"
+        write_exr(found[name], np.dstack([sky, np.ones(sky.shape[:2])]).astype(np.float32))
+    return found
 
 
 def frames(count: int, seed: int = 0) -> NDArray[np.float32]:

@@ -15,9 +15,13 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
+from prtcl.apps.demo_scene import build
 from prtcl.compute import choice
 from prtcl.compute.device import Device
 from prtcl.errors import PrtclError
+from prtcl.factors.environment import Environment
+from prtcl.factors.sky import sun_sky
+from prtcl.scene.mesh import Mesh
 
 SHARED_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 
@@ -93,6 +97,18 @@ def device(make_device: Callable[[str], Device]) -> Device:
 def any_device(request: pytest.FixtureRequest, make_device: Callable[[str], Device]) -> Device:
     """A `Device` of each precision."""
     return make_device(request.param)
+
+
+@pytest.fixture(scope="session")
+def mesh() -> Mesh:
+    """The demo's scene: five parts that shadow one another."""
+    return build()
+
+
+@pytest.fixture(scope="session")
+def sky() -> Environment:
+    """A small sky with a sun at 40 degrees."""
+    return Environment(sun_sky(32, sun_elevation=40.0, sun_azimuth=130.0))
 
 
 @pytest.fixture(scope="session")

@@ -8,14 +8,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import trimesh
+from cases import DEMO_CAMERA
 from PIL import Image
 
-from prtcl.apps.demo_scene import build
 from prtcl.compute.device import Device
 from prtcl.errors import InputError
 from prtcl.factors.environment import Environment
 from prtcl.factors.material import Material
-from prtcl.factors.sky import sun_sky
 from prtcl.scene.bake import Bake
 from prtcl.scene.camera import Camera
 from prtcl.scene.mesh import Mesh
@@ -24,21 +23,8 @@ from prtcl.scene.session import Session
 
 GOLD, PLASTER = "ggx:alpha=0.3,eta=0.2/0.4/1.3,k=3.4/2.3/1.8", "lambert:albedo=0.6/0.5/0.4"
 GLAZE = "ggx:alpha=0.1,f0=0.04,kd=0.1/0.4/0.2"
-SIZE = (40, 30)
-
-
-@pytest.fixture(scope="module")
-def mesh() -> Mesh:
-    """The demo's scene: five parts that shadow one another."""
-    return build()
-
-
-@pytest.fixture(scope="module")
-def sky() -> Environment:
-    return Environment(sun_sky(32, sun_elevation=40.0, sun_azimuth=130.0))
-
-
-CAMERA = Camera((3.1, 2.5, 5.4), (-0.1, 0.75, -0.3), fov=38.0, size=SIZE)
+CAMERA = DEMO_CAMERA
+SIZE = CAMERA.size
 
 
 def session(mesh: Mesh, sky: Environment, device: Device, **options) -> Session:  # type: ignore[no-untyped-def]

@@ -6,19 +6,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from cases import DEMO_CAMERA
 
-from prtcl.apps.demo_scene import build
 from prtcl.compute.device import Device
 from prtcl.errors import InputError
 from prtcl.factors.environment import Environment
-from prtcl.factors.sky import sun_sky
 from prtcl.scene.camera import Camera
 from prtcl.scene.mesh import Mesh, PartMaterial
 from prtcl.scene.scene import Scene, own_materials
 from prtcl.scene.session import Session
 from prtcl.scene.texture import Texture
 
-CAMERA = Camera((3.1, 2.5, 5.4), (-0.1, 0.75, -0.3), fov=38.0, size=(40, 30))
+CAMERA = DEMO_CAMERA
 COLOUR = (0.8, 0.4, 0.1)
 PAIRS = [
     ("lambert:albedo=mesh", "lambert:albedo=0.8/0.4/0.1"),
@@ -28,16 +27,6 @@ PAIRS = [
     ("gltf:base=mesh,roughness=0.6,metallic=0.4", "gltf:base=0.8/0.4/0.1,roughness=0.6,metallic=0.4"),
     ("blinn:exponent=20,ks=0.2*mesh,kd=0.5*mesh", "blinn:exponent=20,ks=0.16/0.08/0.02,kd=0.4/0.2/0.05"),
 ]
-
-
-@pytest.fixture(scope="module")
-def mesh() -> Mesh:
-    return build()
-
-
-@pytest.fixture(scope="module")
-def sky() -> Environment:
-    return Environment(sun_sky(32, sun_elevation=40.0, sun_azimuth=130.0))
 
 
 def painted(mesh: Mesh, colours: object = COLOUR) -> Mesh:

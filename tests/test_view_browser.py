@@ -20,10 +20,10 @@ from typing import Any
 import numpy as np
 import pytest
 import trimesh
+from cases import write_skies
 
 from prtcl.compute.choice import Seen
-from prtcl.factors.sky import sun_sky
-from prtcl.files.image import read_image, write_exr
+from prtcl.files.image import read_image
 
 FOREIGN = "elsewhere.example"
 RESOLVER = f"--host-resolver-rules=MAP {FOREIGN} 127.0.0.1"
@@ -70,10 +70,7 @@ def served(tmp_path_factory: pytest.TempPathFactory, opencl_device: Seen) -> Ite
     table.apply_translation((0, -1.1, 0))
     trimesh.util.concatenate([ball, table]).export(folder / "ball.ply")
     (folder / "skies").mkdir()
-    for name, elevation in (("noon", 60.0), ("late", 10.0)):
-        sky = sun_sky(32, sun_elevation=elevation, sun_azimuth=130.0)
-        opaque = np.concatenate([sky, np.ones((32, 64, 1))], axis=2).astype(np.float32)
-        write_exr(folder / "skies" / f"{name}.exr", opaque)
+    write_skies(folder / "skies", 32)
     command = [
         sys.executable, "-m", "prtcl", "view", str(folder / "ball.ply"), "--env", str(folder / "skies"),
         "-o", str(folder / "out"), "--port", "0", "--levels", "4", "--rays", "3", "--device", opencl_device.spec,

@@ -8,16 +8,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from cases import write_skies
 
-from prtcl.apps.demo_scene import build
 from prtcl.apps.view import studio as studio_module
 from prtcl.apps.view.look import PRESETS, Look
 from prtcl.apps.view.state import Eye, State
 from prtcl.apps.view.studio import FINE, MOVING, STILL, Drawn, Quality, Studio
 from prtcl.compute.device import Device
 from prtcl.errors import InputError
-from prtcl.factors.sky import sun_sky
-from prtcl.files.image import write_exr
 from prtcl.scene.mesh import Mesh
 from prtcl.scene.session import Session
 
@@ -33,18 +31,8 @@ STATES = (
 
 
 @pytest.fixture(scope="module")
-def mesh() -> Mesh:
-    return build()
-
-
-@pytest.fixture(scope="module")
 def skies(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    folder, found = tmp_path_factory.mktemp("skies"), {}
-    for name, elevation in (("noon", 60.0), ("late", 10.0)):
-        sky = sun_sky(16, sun_elevation=elevation, sun_azimuth=130.0)
-        found[name] = folder / f"{name}.exr"
-        write_exr(found[name], np.concatenate([sky, np.ones((16, 32, 1))], axis=2).astype(np.float32))
-    return found
+    return write_skies(tmp_path_factory.mktemp("skies"), 16)
 
 
 @pytest.fixture
