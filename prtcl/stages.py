@@ -28,9 +28,9 @@ from prtcl.factors.slices import Materials
 from prtcl.factors.visibility import Tracer
 from prtcl.scene.mesh import Mesh
 from prtcl.scene.points import vertex_points
-from prtcl.transport import collapse as _collapse
 from prtcl.transport import shade as _shade
 from prtcl.wavelet import haar as _haar
+from prtcl.wavelet import masked as _masked
 from prtcl.wavelet import triple as _triple
 
 
@@ -142,7 +142,7 @@ def visibility_haar(bits: Any, *, levels: int, device: Device | None = None) -> 
         raise InputError(
             f"bits: expected (n, {quadtree.visibility_words(levels)}) for {levels} levels, got {tuple(bits.shape)}"
         )
-    out = _collapse.visibility_coefficients(device, bits, levels)
+    out = _masked.visibility_coefficients(device, bits, levels)
     return out if stay else out.get()
 
 

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from prtcl import quadtree, reference
+from prtcl.compute import tuning
 from prtcl.compute.device import Device
 from prtcl.factors.sky import sun_sky
 from prtcl.files.image import write_exr
@@ -92,3 +95,13 @@ def frames(count: int, seed: int = 0) -> NDArray[np.float32]:
         q *= np.sign(np.diag(r))
         out[i] = q if np.linalg.det(q) > 0 else q[[1, 0, 2]]
     return out.astype(np.float32)
+
+
+@contextmanager
+def forms(wide: bool) -> Iterator[None]:
+    """Have every kernel that has a form on vectors run in that form, or in its simplest."""
+    with ExitStack() as stack:
+        for tunable in tuning.KNOWN.values():
+            found = [form for form in tunable.forms if (form.name == "wide") == wide]
+            stack.enter_context(tunable.trial((found or tunable.forms)[0]))
+        yield

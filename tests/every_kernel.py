@@ -28,7 +28,7 @@ from prtcl.transport import collapse, cut, shade
 from prtcl.transport.hard_tree import HardSums
 from prtcl.transport.leaves import Leaves, Squares
 from prtcl.transport.settings import Settings
-from prtcl.wavelet import haar, pyramid, triple
+from prtcl.wavelet import haar, masked, pyramid, triple
 
 POINTS = 65
 """One more than a work-group."""
@@ -120,7 +120,7 @@ def visibility(device: Device) -> None:
         seen = cases.visibility(points, rays)
         expected = reference.haar(np.repeat(seen, 4 ** (levels - rays), axis=1).astype(np.float64))
         bits = device.array(cases.pack_bits(seen), np.uint32)
-        got = collapse.visibility_coefficients(device, bits, rays, levels).get()[:, 0]
+        got = masked.visibility_coefficients(device, bits, rays, levels).get()[:, 0]
         assert (got == expected).all()
         twin = device.kernels("visibility.cl", LEVELS=levels, BITS=rays, GROUP=64)
         out = device.empty((points, 4**levels))
@@ -153,7 +153,7 @@ def environment_gathered_and_splat(device: Device) -> None:
 def light_and_visibility(device: Device) -> None:
     image = np.random.default_rng(0).uniform(0.1, 3, (8, 16, 3)).astype(np.float32)
     frames = cases.frames(POINTS)
-    for levels, rays, keep, channels in ((1, 1, 1, 3), (3, 2, 2, 3), (4, 3, 4, 1)):
+    for levels, rays, keep, channels in ((1, 1, 1, 3), (3, 2, 2, 3), (4, 3, 4, 1), (4, 4, 1, 3)):
         points = POINTS if levels < 4 else 3
         light, turned = Environment(image).split(levels, "off"), frames[:points]
         seen = cases.visibility(points, rays)
@@ -161,11 +161,23 @@ def light_and_visibility(device: Device) -> None:
         soft = environment.gather(device, light, turned, channels=channels)
         visible = np.repeat(seen, 4 ** (levels - rays), axis=1)[:, None]
         expected = reference.haar(soft.get() * visible)[..., : 4**keep]
-        close(device, collapse.product_of(device, soft, bits, rays, keep).get(), expected)
+        close(device, masked.reduce_samples(device, soft, bits, rays, keep).get(), expected)
+        coefficients = haar.forward(device, soft)
+        close(device, masked.reduce_coefficients(device, coefficients, bits, rays, keep).get(), expected)
+        if rays == levels:
+            in_place = masked.reduce_in_place(device, coefficients, bits).get()[..., : 4**keep]
+            close(device, in_place, expected)
         for method in ("pixel", "tree"):
             settings = Settings(levels=levels, rays=rays, keep=keep, method=method)
             got = collapse.reduced_coefficients(device, light, bits, turned, settings, channels).get()
             close(device, got, expected)
+        sums = device.empty((points, quadtree.n_squares(levels + 1)), np.uint32)
+        rows = device.array(np.arange(points), np.int32)
+        settings = Settings(levels=levels, rays=rays, keep=levels)
+        collapse.packed_sums(device, light, bits, turned, settings, channels, rows, sums, 1024.0)
+        means = np.broadcast_to((soft.get() * visible).mean(axis=2), (points, 3))
+        step = 2 * pyramid.ROUNDING * means.max(axis=1, keepdims=True)
+        assert (np.abs(pyramid.unpack(sums.get()[:, 0], 1024.0) - means) <= step).all()
 
 
 def all_materials() -> list[Material]:
@@ -218,7 +230,7 @@ def radiance(device: Device) -> None:
         out = shade.soft_radiance(*arguments)
         close(device, out.get(), expected)
         close(device, shade.soft_radiance(*arguments, out=out).get(), 2 * expected)
-        for lanes in (shade.LANES_CPU, shade.LANES_GPU):
+        for lanes in (4, 64):
             built = device.kernels(
                 "shade.cl", KEEP=keep, CHANNELS=channels, SLICE_CHANNELS=slice_channels, N_SLICES=n_slices,
                 GROUP=lanes,
@@ -324,11 +336,14 @@ def main() -> None:
     single = Watched("float32")
     double = "cl_khr_fp64" in single.handle.extensions
     for device in [single, *([Watched("mixed"), Watched("float64")] if double else [])]:
-        for task in TASKS:
-            try:
-                task(device)
-            except AssertionError as error:
-                raise SystemExit(f"{device.name}, {device.precision}, {task.__name__}: {error}") from error
+        for wide in (False, True):
+            with cases.forms(wide):
+                for task in TASKS:
+                    try:
+                        task(device)
+                    except AssertionError as error:
+                        where = f"{device.name}, {device.precision}, {task.__name__}, {wide=}"
+                        raise SystemExit(f"{where}: {error}") from error
         missing = [name for name in wanted if name not in device.launched]
         if missing:
             raise SystemExit(f"these kernels were never launched: {', '.join(missing)}")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import cases
 import numpy as np
 import pytest
@@ -14,10 +16,20 @@ from prtcl import quadtree, reference
 from prtcl.compute.device import Device
 from prtcl.factors import environment, hemisphere
 from prtcl.factors.environment import Environment, Light
+from prtcl.transport import collapse
 from prtcl.transport.collapse import reduced_coefficients
 from prtcl.transport.settings import Settings
+from prtcl.wavelet import pyramid
 
-GRIDS = [(1, 1, 1), (3, 3, 1), (3, 2, 2), (4, 4, 4), (5, 4, 3), (6, 5, 5), (7, 7, 7)]
+
+@pytest.fixture(scope="module", autouse=True, params=["simple", "wide"])
+def form(request: pytest.FixtureRequest) -> Iterator[str]:
+    """Each form of the kernels in turn."""
+    with cases.forms(request.param == "wide"):
+        yield request.param
+
+
+GRIDS = [(1, 1, 1), (3, 3, 1), (3, 2, 2), (4, 4, 4), (5, 4, 3), (5, 3, 5), (6, 5, 5), (6, 6, 3), (7, 7, 7)]
 """levels, rays, keep"""
 
 
@@ -113,3 +125,33 @@ def test_two_runs_agree_bit_for_bit(device: Device, method: str) -> None:
     settings = Settings(method=method)
     first, second = (reduced_coefficients(device, lit, bits, frames, settings).get() for _ in range(2))
     assert (first == second).all()
+
+
+@pytest.mark.parametrize("channels", [1, 3])
+@pytest.mark.parametrize(("levels", "rays"), [(1, 1), (2, 2), (3, 3), (4, 2), (5, 4), (6, 6)])
+def test_packed_sums_are_those_of_the_product(device: Device, levels: int, rays: int, channels: int) -> None:
+    """The means of the stored product, packed: bit for bit in either form."""
+    points = 9
+    lit, frames = light(levels, grey=channels == 1), cases.frames(points)
+    bits = cases.pack_bits(cases.visibility(points, rays))
+    settings = Settings(levels=levels, rays=rays, keep=levels)
+    rows = device.array(np.random.default_rng(0).permutation(points + 2)[:points], np.int32)
+    scale = pyramid.scale_for(float(lit.cube[..., :3].max()))
+    got, expected = (
+        device.array(np.zeros((points + 2, quadtree.n_squares(levels + 1))), np.uint32) for _ in range(2)
+    )
+    with guard_bands(device):
+        collapse.packed_sums(device, lit, bits, frames, settings, channels, rows, got, scale)
+    product = collapse.product_samples(device, lit, bits, frames, settings, channels)
+    pyramid.pack(device, product, rows, expected, scale)
+    assert (got.get() == expected.get()).all()
+    assert got.get().any()
+
+
+def test_gather_gives_the_same_bits_in_every_form(device: Device) -> None:
+    lit, frames = light(5), cases.frames(7)
+    with environment.GATHER.trial(environment.GATHER.forms[0]):
+        expected = environment.gather(device, lit, frames).get()
+    with guard_bands(device):
+        got = environment.gather(device, lit, frames).get()
+    assert (got == expected).all()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import cases
 import numpy as np
 import pytest
@@ -14,8 +16,19 @@ from tolerances import assert_close
 
 from prtcl import quadtree, reference
 from prtcl.compute.device import Device
+from prtcl.compute.tuning import Form
 from prtcl.errors import InputError
 from prtcl.wavelet import haar
+
+
+@pytest.fixture(
+    scope="module", autouse=True, params=[Form("items"), Form("wide", 8)], ids=lambda form: form.name
+)
+def form(request: pytest.FixtureRequest) -> Iterator[Form]:
+    """Each form of the transform in turn."""
+    with haar.TRANSFORM.trial(request.param):
+        yield request.param
+
 
 LEVELS_AND_ROWS = [(levels, rows) for levels in range(1, 8) for rows in cases.row_counts(levels)]
 
@@ -66,7 +79,9 @@ def test_equals_the_plain_twin(any_device: Device, levels: int) -> None:
     x = cases.light_samples("high dynamic range", cases.row_counts(levels)[-1], levels).astype(device.dtype)
     forward = haar.forward(device, device.array(x)).get()
     inverse = haar.inverse(device, device.array(x)).get()
-    if device.precision == "mixed":  # the twin stores float32 after every level, the kernel after every three
+    if (
+        device.precision == "mixed"
+    ):  # the twin stores float32 after every level, the kernels after every launch
         for got, twin in ((forward, plain(device, x)), (inverse, plain(device, x, inverse=True))):
             bound = 2 * tolerances.haar(levels, 2.0**-24, x)
             assert_close(tolerances.norms(got - twin), np.zeros((len(x), 1)), bound, zeros=1)
@@ -153,8 +168,21 @@ def test_other_shapes_are_refused(shape: tuple[int, ...]) -> None:
         haar.check_rows(Fake, "light")
 
 
-def test_stages_cover_all_levels_once() -> None:
+@pytest.mark.parametrize("most", [haar.STAGE, haar.WIDE_STAGE])
+def test_stages_cover_all_levels_once(most: int) -> None:
     for levels in range(1, quadtree.MAX_LEVELS + 1):
-        taken = [level for top, depth in haar.stages(levels) for level in range(top, top + depth)]
+        taken = [level for top, depth in haar.stages(levels, most) for level in range(top, top + depth)]
         assert sorted(taken) == list(range(levels))
-        assert all(depth <= haar.STAGE for _, depth in haar.stages(levels))
+        assert all(depth <= most for _, depth in haar.stages(levels, most))
+        if most == haar.WIDE_STAGE and levels > 1:  # what vectors of sixteen take
+            assert all(depth > 1 for _, depth in haar.stages(levels, most))
+
+
+@pytest.mark.parametrize("levels", [8, 9])
+def test_the_deepest_trees(device: Device, levels: int) -> None:
+    x = cases.light_samples("random", 2, levels).astype(np.float32)
+    coefficients = haar.forward(device, device.array(x))
+    back = haar.inverse(device, coefficients).get()
+    bound = tolerances.haar(levels, 2.0**-24, x)
+    assert_close(tolerances.norms(coefficients.get() - reference.haar(x)), np.zeros((2, 1)), bound, zeros=1)
+    assert_close(tolerances.norms(back - x), np.zeros((2, 1)), 2 * bound, zeros=1)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from prtcl import quadtree, reference
 from prtcl.compute.device import Device
-from prtcl.transport.collapse import visibility_coefficients
+from prtcl.wavelet.masked import visibility_coefficients
 
 GRIDS = [(rays, rays, rows) for rays in range(1, 8) for rows in cases.row_counts(rays)] + [
     (rays, levels, 5) for rays, levels in [(1, 2), (2, 3), (1, 5), (3, 5), (4, 5), (5, 6), (3, 7)]

@@ -18,6 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from prtcl.compute.device import Device
+from prtcl.compute.tuning import Form, Tunable
 from prtcl.errors import InputError
 from prtcl.factors import hardlight, hemisphere
 
@@ -26,6 +27,8 @@ SUB = 0
 """Levels of subsamples a cell is averaged over. The cube is filtered to the cell's own size, so one look-up is
 its average. Four look-ups into a cube twice as fine gave the same error in one trial against Mitsuba, for four times
 the work; no committed script repeats that trial yet."""
+GATHER = Tunable("environment", (Form("cells"), Form("wide")), cpu=Form("wide"), gpu=Form("cells"))
+"""A work-item a cell (environment.cl), or vectors of cells (environment_wide.cl)."""
 HARD_LEVELS = 6
 """The grid whose cells the threshold is set for: a cell of it may hold at most `HARD_SHARE` of the mean
 irradiance, so that its place inside the cell cannot matter more than that."""
@@ -270,18 +273,28 @@ def gather(
     levels, count = light.levels, len(frames)
     map_frames = frames_on_map(device, light, frames)
     out = device.empty((count, channels, 4**levels)) if out is None else out
-    kernels = device.kernels("environment.cl", LEVELS=levels, CHANNELS=channels, SUB=SUB, GROUP=GROUP)
-    directions = look_up_directions(device, levels)
     face = cube.shape[1] - 2
-    device.launch(
-        kernels["environment_gather"], 4**levels, GROUP, cube, face, directions, map_frames, out, y=count
-    )
+    if GATHER.of(device).name == "wide" and levels >= 2 and SUB == 0:
+        wide = device.kernels("environment_wide.cl", LEVELS=levels, CHANNELS=channels)[
+            "environment_gather_wide"
+        ]
+        planes = direction_planes(device, levels)
+        device.launch(wide, count, 1, cube, face, planes, map_frames, out, stage="environment_gather")
+    else:
+        kernel = _kernels(device, levels, channels)["environment_gather"]
+        directions = look_up_directions(device, levels)
+        device.launch(kernel, 4**levels, GROUP, cube, face, directions, map_frames, out, y=count)
     if splat_hard and len(light.hard):
+        kernels = _kernels(device, levels, channels)
         world_frames = device.array(frames)
         device.launch(
             kernels["environment_splat"], count, GROUP, hard, len(light.hard), world_frames, out, count
         )
     return out
+
+
+def _kernels(device: Device, levels: int, channels: int) -> dict[str, Any]:
+    return device.kernels("environment.cl", LEVELS=levels, CHANNELS=channels, SUB=SUB, GROUP=GROUP)
 
 
 def frames_on_map(device: Device, light: Light, frames: Any) -> Any:
@@ -293,3 +306,8 @@ def frames_on_map(device: Device, light: Light, frames: Any) -> Any:
 def look_up_directions(device: Device, levels: int) -> Any:
     """Local directions of the look-ups, (4**(levels + SUB), 4) on the device."""
     return device.constant(("directions", levels + SUB), lambda: hemisphere.directions(levels + SUB))
+
+
+def direction_planes(device: Device, levels: int) -> Any:
+    """Local directions of the cells, one look-up each, as planes x, y, z: (3, 4**levels) on the device."""
+    return device.constant(("planes", levels), lambda: hemisphere.directions(levels)[:, :3].T)

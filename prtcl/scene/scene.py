@@ -36,7 +36,7 @@ smaller than a pixel vary most, and whose points cost least."""
 
 PER_POINT = (
     "visibility_rays", "hard_light_rays", "environment_gather", "light_times_visibility", "haar_forward",
-    "visibility_coefficients", "parent_sums", "triple_accumulate", "inner_product", "shade_lights",
+    "visibility_coefficients", "parent_sums", "triple_accumulate", "reduce_pair", "inner_product", "shade_lights",
 )  # fmt: skip
 """Stages whose work is proportional to the points."""
 

@@ -9,37 +9,16 @@ import numpy.typing as npt
 
 from prtcl import quadtree
 from prtcl.compute.device import Device
+from prtcl.compute.tuning import Form, Tunable
 from prtcl.factors import environment, hemisphere
 from prtcl.factors.environment import Light
 from prtcl.transport.settings import Settings
-from prtcl.wavelet import haar, triple
+from prtcl.wavelet import haar, masked, pyramid, triple
 
+visibility_coefficients, product_of = masked.visibility_coefficients, masked.reduce_samples  # TEMPORARY
 GROUP = 64
-
-
-def visibility_coefficients(device: Device, bits: Any, rays: int, levels: int | None = None) -> Any:
-    """Haar coefficients of visibility, exact integer sums by popcount.
-
-    Parameters
-    ----------
-    bits : (n, words) uint32, host or device, of 4**rays directions
-    levels : of the coefficients, at least `rays` (the default)
-
-    Returns
-    -------
-    coefficients : device array (n, 1, 4**levels)
-    """
-    levels = rays if levels is None else levels
-    words = device.array(bits, np.uint32, name="bits")
-    count = words.shape[0]
-    top = max(0, rays - 3)
-    out = device.empty((count, 1, quadtree.n_samples(levels)))
-    means = device.empty((max(1, count << (2 * top)),))
-    kernel = device.kernels("visibility.cl", LEVELS=levels, BITS=rays, GROUP=GROUP)["visibility_coefficients"]
-    device.launch(kernel, count << (2 * top), GROUP, words, out, means, count)
-    if top:
-        haar.forward_from_means(device, means, top, out)
-    return out
+PRODUCT = Tunable("product", (Form("stages"), Form("wide")), cpu=Form("wide"), gpu=Form("stages"))
+"""Products stored and then transformed or packed (product.cl), or all in one pass over vectors (product_wide.cl)."""
 
 
 def reduced_coefficients(
@@ -66,10 +45,78 @@ def reduced_coefficients(
     if settings.tree:
         soft = environment.gather(device, light, frames, channels=channels)
         coefficients = haar.forward(device, soft)
-        seen = visibility_coefficients(device, bits, settings.rays, levels)
+        seen = masked.visibility_coefficients(device, bits, settings.rays, levels)
         return triple.reduce(device, coefficients, seen, keep=keep)
+    if _wide(device, settings):
+        kernels, arguments = _fused(device, light, bits, frames, settings, channels, grid)
+        reduced = device.empty((len(frames), channels, quadtree.n_samples(keep)))
+        device.launch(
+            kernels["light_times_visibility_reduced"], len(frames), 1, *arguments, reduced,
+            stage="light_times_visibility",
+        )  # fmt: skip
+        return reduced
     product = product_samples(device, light, bits, frames, settings, channels, grid)
     return haar.forward(device, product, scale=2.0 ** (levels - keep))
+
+
+def packed_sums(
+    device: Device,
+    light: Light,
+    bits: Any,
+    frames: npt.NDArray[np.float32],
+    settings: Settings,
+    channels: int,
+    rows: Any,
+    sums: Any,
+    scale: float,
+) -> None:
+    """Parent sums of L ⊕ V at all levels of `settings.levels`, which is `settings.keep`, packed into rows of `sums`.
+
+    Parameters
+    ----------
+    rows : device array (n,) int32, where each point's sums go
+    sums, scale : as for `prtcl.wavelet.pyramid.pack`
+    others : those of `reduced_coefficients`; visibility counts as it is, without the rays' weights
+    """
+    if _wide(device, settings):
+        kernels, arguments = _fused(device, light, bits, frames, settings, channels, None)
+        device.launch(
+            kernels["light_times_visibility_packed"], len(frames), 1, *arguments, rows, sums, float(scale),
+            stage="light_times_visibility",
+        )  # fmt: skip
+        return
+    product = product_samples(device, light, bits, frames, settings, channels)
+    pyramid.pack(device, product, rows, sums, scale)
+
+
+def _wide(device: Device, settings: Settings) -> bool:
+    return PRODUCT.of(device).name == "wide" and triple.wide_fits(settings.levels) and environment.SUB == 0
+
+
+def _fused(
+    device: Device, light: Light, bits: Any, frames: npt.NDArray[np.float32], settings: Settings, channels: int,
+    grid: npt.NDArray[np.int32] | None,
+) -> tuple[dict[str, Any], list[Any]]:  # fmt: skip
+    """Kernels of product_wide.cl, and the arguments that they share."""
+    kernels = device.kernels(
+        "product_wide.cl", LEVELS=settings.levels, BITS=settings.rays, KEEP=settings.keep, CHANNELS=channels
+    )
+    directions = environment.direction_planes(device, settings.levels)
+    return kernels, _product_arguments(device, light, bits, frames, settings, grid, directions)
+
+
+def _product_arguments(
+    device: Device, light: Light, bits: Any, frames: npt.NDArray[np.float32], settings: Settings,
+    grid: npt.NDArray[np.int32] | None, directions: Any,
+) -> list[Any]:  # fmt: skip
+    """What every form of the product takes first."""
+    cube, _ = light.buffers(device)
+    grid = np.full(len(frames), hemisphere.ALONE) if grid is None else grid
+    weights, row = _ray_weights(bits, settings.rays, grid)
+    return [
+        cube, cube.shape[1] - 2, directions, environment.frames_on_map(device, light, frames),
+        device.array(bits, np.uint32, name="bits"), device.array(weights), device.array(row, np.int32),
+    ]  # fmt: skip
 
 
 def product_samples(
@@ -91,16 +138,10 @@ def product_samples(
         "product.cl", LEVELS=levels, BITS=settings.rays, KEEP=keep, CHANNELS=channels,
         SUB=environment.SUB, GROUP=GROUP,
     )["light_times_visibility"]  # fmt: skip
-    cube, _ = light.buffers(device)
-    weights, row = _ray_weights(
-        bits, settings.rays, np.full(count, hemisphere.ALONE) if grid is None else grid
+    arguments = _product_arguments(
+        device, light, bits, frames, settings, grid, environment.look_up_directions(device, levels)
     )
-    device.launch(
-        kernel, quadtree.n_samples(keep), GROUP, cube, cube.shape[1] - 2,
-        environment.look_up_directions(device, levels), environment.frames_on_map(device, light, frames),
-        device.array(bits, np.uint32, name="bits"), device.array(weights), device.array(row, np.int32), product,
-        y=count,
-    )  # fmt: skip
+    device.launch(kernel, quadtree.n_samples(keep), GROUP, *arguments, product, y=count)
     return product
 
 
@@ -121,37 +162,9 @@ def _ray_weights(
     return np.stack([hemisphere.ray_weights(rays, int(g)) for g in grids]), row
 
 
-def product_of(device: Device, light: Any, bits: Any, rays: int, keep: int) -> Any:
-    """L ⊕ V from light samples that are already on the device, in the pixel domain.
-
-    Parameters
-    ----------
-    light : device array (n, channels, 4**levels) of radiance, Morton order
-    bits : (n, words) uint32 visibility of 4**rays directions
-    keep : levels of the product to keep
-
-    Returns
-    -------
-    reduced : device array (n, channels, 4**keep) of Haar coefficients
-    """
-    count, channels, samples = light.shape
-    levels = quadtree.levels_of(samples)
-    kernel = device.kernels(
-        "product.cl", LEVELS=levels, BITS=rays, KEEP=keep, CHANNELS=channels, GROUP=GROUP
-    )["masked_average"]
-    product = device.empty((count, channels, quadtree.n_samples(keep)))
-    words = device.array(bits, np.uint32, name="bits")
-    device.launch(kernel, quadtree.n_samples(keep), GROUP, light, words, product, y=count * channels)
-    return haar.forward(device, product, scale=2.0 ** (levels - keep))
-
-
-def bytes_per_point(settings: Settings, channels: int, real: int) -> dict[str, int]:
-    """Bytes that each stage keeps on the device for one point.
-
-    Parameters
-    ----------
-    real : bytes of a stored number
-    """
+def bytes_per_point(device: Device, settings: Settings, channels: int) -> dict[str, int]:
+    """Bytes that each stage keeps on the device for one point."""
+    real = np.dtype(device.dtype).itemsize
     samples, kept = quadtree.n_samples(settings.levels), quadtree.n_samples(settings.keep)
     squares = quadtree.n_squares(settings.levels)
     stages = {
@@ -162,7 +175,8 @@ def bytes_per_point(settings: Settings, channels: int, real: int) -> dict[str, i
         stages["light_samples"] = channels * samples * real
         stages["light_coefficients"] = channels * samples * real
         stages["visibility_coefficients"] = samples * real
-        stages["parent_sums_and_energy"] = (2 * channels + 1) * squares * 8
-    else:
+        if not triple.in_one_pass(device, settings.levels):
+            stages["parent_sums_and_energy"] = (2 * channels + 1) * squares * 8
+    elif not _wide(device, settings):
         stages["product_samples"] = channels * kept * real
     return stages

@@ -139,15 +139,10 @@ class Relit:
         each = self.channels * quadtree.n_samples(self.settings.levels) * np.dtype(self.device.dtype).itemsize
         for part in chunks(len(new), chunk_size(self.device, 2 * each, each)):
             some = new[part]
-            product = collapse.product_samples(
-                self.device,
-                self.light,
-                self._bits[some],
-                self.points.frames[some],
-                self.settings,
-                self.channels,
-            )
-            pyramid.pack(self.device, product, self.device.array(some, np.int32), self._sums, self.scale)
+            collapse.packed_sums(
+                self.device, self.light, self._bits[some], self.points.frames[some], self.settings, self.channels,
+                self.device.array(some, np.int32), self._sums, self.scale,
+            )  # fmt: skip
         if self._hard is not None:
             points = self.points[new]
             seen = self.tracer.light_visibility(

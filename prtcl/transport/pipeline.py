@@ -101,7 +101,7 @@ class Pipeline:
     def bytes_per_point(self) -> dict[str, int]:
         """Device bytes a point by stage."""
         real = np.dtype(self.device.dtype).itemsize
-        stages = collapse.bytes_per_point(self.settings, self.channels, real)
+        stages = collapse.bytes_per_point(self.device, self.settings, self.channels)
         stages["frames_views_radiance"] = (2 * 9 + 4 + 4) * real + 4
         stages["view_weights"] = (4 + real) * (2 if self.table.polar else 4)
         stages["hard_light_bits"] = 4 * ((len(self.light.hard) + 31) // 32)

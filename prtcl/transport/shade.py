@@ -9,13 +9,28 @@ import numpy.typing as npt
 
 from prtcl import quadtree
 from prtcl.compute.device import Device
+from prtcl.compute.tuning import Form, Tunable
 from prtcl.factors.environment import Light
 from prtcl.factors.slices import Materials
 
 GROUP = 64
-LANES_CPU, LANES_GPU = 4, 64
-"""Work-items a point for the inner product. A CPU's vectors are short and its barriers are loops: four lanes ran 1.4
-to 1.8 times as fast as 64 on PoCL (bench/reduce.py shows both)."""
+INNER = Tunable(
+    "inner_product",
+    (
+        Form("lanes", 4),
+        Form("lanes", 16),
+        Form("lanes", 64),
+        Form("wide", 1),
+        Form("wide", 8),
+        Form("wide", 64),
+    ),
+    cpu=Form("wide", 8),
+    gpu=Form("lanes", 64),
+)
+"""`size` work-items a point (shade.cl), or vectors along a point's coefficients, `size` points a work-item
+(shade_wide.cl)."""
+LANES = Form("lanes", 4)
+"""Where a row is shorter than a vector."""
 
 
 def soft_radiance(
@@ -27,7 +42,6 @@ def soft_radiance(
     levels: int,
     *,
     out: Any = None,
-    lanes: int | None = None,
 ) -> Any:
     """I_p = Σ_j (L ⊕ V)_j f_v,j, equation (5), with f_v interpolated between stored slices.
 
@@ -38,7 +52,6 @@ def soft_radiance(
     index, weight : (n, k) int32 and real: the slices of each point and their weights
     levels : of the product: its samples subtend 2π/4**levels sr
     out : device array (n, 4) that is added to, or None for a new one
-    lanes : work-items a point, a power of two; None takes what suits the device
 
     Returns
     -------
@@ -47,17 +60,26 @@ def soft_radiance(
     count, channels, kept = reduced.shape
     keep = quadtree.levels_of(kept)
     where, weights = device.array(index, np.int32), device.array(weight)
-    lanes = lanes or (LANES_CPU if device.is_cpu else LANES_GPU)
-    kernel = device.kernels(
-        "shade.cl", KEEP=keep, CHANNELS=channels, SLICE_CHANNELS=slices.shape[1], N_SLICES=where.shape[1],
-        GROUP=lanes,
-    )["inner_product"]  # fmt: skip
     # Coefficients of the product are those of 4**levels samples, those of f_v of 4**keep: on the finer grid
     # f_v's would be 2**(levels − keep) larger.
     scale = 2 * np.pi / 4.0**levels * 2.0 ** (levels - keep)
     add = out is not None
     out = device.empty((count, 4)) if out is None else out
-    device.launch(kernel, lanes, lanes, reduced, slices, where, weights, out, float(scale), int(add), y=count)
+    form = INNER.of(device)
+    form = LANES if form.name == "wide" and keep < 2 else form
+    defines = {
+        "KEEP": keep,
+        "CHANNELS": channels,
+        "SLICE_CHANNELS": slices.shape[1],
+        "N_SLICES": where.shape[1],
+    }
+    arguments = [reduced, slices, where, weights, out, float(scale), int(add)]
+    if form.name == "wide":
+        kernel = device.kernels("shade_wide.cl", POINTS=form.size, **defines)["inner_product_wide"]
+        device.launch(kernel, -(-count // form.size), 1, *arguments, count, stage="inner_product")
+    else:
+        kernel = device.kernels("shade.cl", GROUP=form.size, **defines)["inner_product"]
+        device.launch(kernel, form.size, form.size, *arguments, y=count)
     return out
 
 

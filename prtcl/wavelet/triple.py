@@ -8,8 +8,22 @@ import numpy as np
 
 from prtcl import quadtree
 from prtcl.compute.device import PRECISIONS, Device
+from prtcl.compute.tuning import Form, Tunable
 from prtcl.errors import InputError
 from prtcl.wavelet.haar import GROUP, check_rows
+
+REDUCTION = Tunable("reduce", (Form("tree"), Form("wide")), cpu=Form("wide"), gpu=Form("tree"))
+"""The tree a level a launch (triple.cl), or all of it in one pass over vectors (reduce_wide.cl)."""
+
+
+def wide_fits(levels: int) -> bool:
+    """Whether the kernels on vectors of sixteen take these levels: rows that vectors fill and private memory holds."""
+    return 3 <= levels <= 7
+
+
+def in_one_pass(device: Device, levels: int) -> bool:
+    """Whether `reduce` keeps nothing but its result on the device."""
+    return REDUCTION.of(device).name == "wide" and wide_fits(levels)
 
 
 def accumulator_dtype(device: Device) -> Any:
@@ -54,7 +68,8 @@ def reduce(device: Device, a: Any, b: Any, *, keep: int | None = None, out: Any 
 
     Notes
     -----
-    The equation and its source stand in kernels/triple.cl. The kernel's G_j carries 2^(r−R) where the
+    The equation and its source stand in kernels/triple.cl; kernels/reduce_wide.cl takes a square's sums as the product
+    that they are, which rounds less where the brightest light is hidden. The kernel's G_j carries 2^(r−R) where the
     supplemental prints 2^(r−r'); `prtcl.reference.triple_tree` evaluates both.
     """
     _, levels = check_rows(a, "a")
@@ -70,11 +85,17 @@ def reduce(device: Device, a: Any, b: Any, *, keep: int | None = None, out: Any 
         raise InputError(f"b: expected 1 or {channels} channels as a has, got {b.shape[1]}")
     if not 1 <= keep <= levels:
         raise InputError(f"keep: expected 1 to {levels} levels, got {keep}")
+    out = device.empty((points, channels, quadtree.n_samples(keep))) if out is None else out
+    if in_one_pass(device, levels):
+        wide = device.kernels(
+            "reduce_wide.cl", LEVELS=levels, BITS=levels, KEEP=keep, CHANNELS=channels, CHANNELS_B=b.shape[1]
+        )["reduce_pair"]
+        device.launch(wide, points, 1, a, b, out, points)
+        return out
     kernels = _kernels(device, levels, channels, b.shape[1])
     sums_a = parent_sums(device, a, channels=channels, channels_b=b.shape[1])
     sums_b = parent_sums(device, b, channels=channels, channels_b=b.shape[1])
     energy = device.empty(sums_a.shape, sums_a.dtype)
-    out = device.empty((points, channels, quadtree.n_samples(keep))) if out is None else out
     for level in reversed(range(levels)):
         device.launch(
             kernels["triple_accumulate"], quadtree.n_samples(level), GROUP,
