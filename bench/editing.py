@@ -20,6 +20,7 @@ import scenes
 from exact import Exact
 
 from prtcl.compute.device import Device
+from prtcl.factors.environment import Environment
 from prtcl.factors.material import Material
 from prtcl.scene.points import vertex_points
 from prtcl.scene.session import Session
@@ -29,15 +30,24 @@ SPECS = ("lambert:albedo=0.5", "ggx:alpha=0.3,eta=0.2,k=3.0", "ggx:alpha=0.3,f0=
 FRAMES, LEVELS, PEAK_SIDE, POINTS = 9, 8, 2, 40_000
 
 
-def truth(session: Session, vertices: np.ndarray, eye: np.ndarray) -> np.ndarray:  # type: ignore[type-arg]
-    """(materials, vertices, 3) by the definition: soft light on 4^8 directions, its peaks by half texels."""
-    exact = Exact(session.light, session.tracer, LEVELS, PEAK_SIDE)
+def truth(  # type: ignore[no-untyped-def]
+    session: Session, vertices: np.ndarray, eyes: np.ndarray, specs=SPECS, light: Environment | None = None
+):
+    """(materials, vertices, 3) by the definition: soft light on 4^8 directions, its peaks by half texels.
+
+    Parameters
+    ----------
+    eyes : (3,), or (vertices, 3)
+    light : None is the session's; not turned
+    """
+    exact = Exact(light or session.light, session.tracer, LEVELS, PEAK_SIDE)
     points = vertex_points(session.mesh, session.tracer, None, vertices)
-    materials = [Material.parse(spec).reference() for spec in SPECS]
-    out = np.zeros((len(SPECS), len(vertices), 3))
+    towards = np.asarray(eyes) - session.mesh.vertices[vertices]
+    materials = [Material.parse(spec).reference() for spec in specs]
+    out = np.zeros((len(specs), len(vertices), 3))
     for i in range(len(vertices)):
         axes = points.frames[i].astype(np.float64)
-        view = axes @ (eye - session.mesh.vertices[vertices[i]])
+        view = axes @ towards[i]
         out[:, i] = exact.radiance(points.origins[i : i + 1], axes, view / np.linalg.norm(view), materials)
     return out
 

@@ -325,9 +325,23 @@ def hard_light_kept(device: Device) -> None:
     assert (np.abs(got - expected) <= 2 * pyramid.ROUNDING * expected.max(axis=1, keepdims=True)).all()
 
 
+def limits(device: Device) -> None:
+    """Copies, and chains of multiply-adds."""
+    values = np.random.default_rng(0).normal(size=2 * 64).astype(device.dtype)
+    kernels, source = device.kernels("limits.cl", GROUP=64, ROW=64), device.array(values)
+    for name, count, group in (("copy_items", 32, 64), ("copy_rows", 2, 1), ("copy_rows_stream", 2, 1)):
+        target = device.array(np.zeros_like(values))
+        device.launch(kernels[name], count, group, source, target, count)
+        assert (target.get() == values).all(), name
+    kernel = device.kernels("limits.cl", GROUP=1, ROW=64, ACCUMULATORS=2)["multiply_adds"]
+    out = device.empty((3,))
+    device.launch(kernel, 3, 1, out, 1.0, 2.0, 5)
+    close(device, out.get(), 16 * (2 * np.arange(3) + 1 + 2 * 5 * 2.0))
+
+
 TASKS: tuple[Callable[[Device], None], ...] = (
     haar_both_ways, triple_products, visibility, environment_gathered_and_splat, light_and_visibility, reflectance,
-    radiance, hard_light, editing, hard_light_kept,
+    radiance, hard_light, editing, hard_light_kept, limits,
 )  # fmt: skip
 
 

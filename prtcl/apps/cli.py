@@ -1,4 +1,4 @@
-"""The command line: `prtcl demo | render | bake | view | devices`.
+"""The command line: `prtcl demo | render | bake | view | bench | devices`.
 
 Exit status: 0 done, 1 the job failed, 2 the input or the command line was wrong. An error is one or two lines that
 name the file or the option and say what to do.
@@ -27,6 +27,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         with deferred_interrupts():
             options = parser().parse_args(arguments)
+            options.arguments = list(sys.argv[1:] if arguments is None else arguments)
         command = f"prtcl {options.command}"
         status: int = options.run(options)
         return status
@@ -146,6 +147,7 @@ def parser() -> Parser:
     bake.set_defaults(run=_bake)
 
     _view_parser(commands)
+    _bench_parser(commands)
 
     devices = commands.add_parser("devices", help="what OpenCL sees, which is used, why")
     devices.add_argument("--device", metavar="SPEC", help="see what a SPEC would choose")
@@ -198,6 +200,71 @@ def _view_parser(commands: Any) -> None:
     view.add_argument("--quiet", action="store_true", help="no progress bar, no address")
     _device(view)
     view.set_defaults(run=_view)
+
+
+def _bench_parser(commands: Any) -> None:
+    bench = commands.add_parser(
+        "bench", help="how fast every stage is, against this device's limits and other programs"
+    )
+    bench.add_argument(
+        "--points", type=_whole(1), nargs="+", default=[40000], metavar="N",
+        help="points; several give the curve of time against points (default: 40000)",
+    )  # fmt: skip
+    bench.add_argument(
+        "--levels", type=_whole(2, 9), nargs="+", default=[5, 6], metavar="R",
+        help="4^R directions, 2 to 9 (default: 5 6)",
+    )  # fmt: skip
+    bench.add_argument(
+        "--channels", type=int, choices=(1, 3), nargs="+", default=[3], help="of the light (default: 3)"
+    )
+    bench.add_argument("--stages", nargs="+", metavar="NAME", help="only these (default: all)")
+    bench.add_argument(
+        "--memory", type=_gibibytes, metavar="GIB",
+        help="of a stage's buffers; more points go in parts (default: a quarter of the device's)",
+    )  # fmt: skip
+    bench.add_argument(
+        "--runs", type=_whole(5), default=5, metavar="N", help="timed runs, 5 at least (default: 5)"
+    )
+    bench.add_argument(
+        "--rivals", action="store_true", help="other programs at the same work, in the same run"
+    )
+    bench.add_argument(
+        "--compare", metavar="OLD.json", help="an earlier bench.json; exit status 1 if a stage became slower"
+    )
+    bench.add_argument(
+        "--tune", action="store_true", help="first time every form of each kernel here, and keep the fastest"
+    )
+    bench.add_argument("-o", "--output", metavar="DIR", help="bench.json, bench.md and plots (default: none)")
+    bench.add_argument("--no-plots", action="store_true", help="write no plots, which take matplotlib")
+    _device(bench)
+    bench.add_argument("--quiet", action="store_true", help="no table")
+    bench.add_argument(
+        "--json", action="store_true", help="the result as JSON on standard output, and no table"
+    )
+    bench.set_defaults(run=_bench)
+
+
+def _whole(least: int, most: int | None = None) -> Callable[[str], int]:
+    """A type of argument: whole numbers of a range."""
+
+    def whole(text: str) -> int:
+        value = int(text) if re.fullmatch(r"[0-9]{1,9}", text) else least - 1
+        if value < least or (most is not None and value > most):
+            up_to = "or more" if most is None else f"to {most}"
+            raise argparse.ArgumentTypeError(f"expected a whole number, {least} {up_to}, got {text!r}")
+        return value
+
+    return whole
+
+
+def _gibibytes(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = 0.0
+    if not 0.0 < value < 1e6:
+        raise argparse.ArgumentTypeError(f"expected GiB of memory, above 0, got {text!r}")
+    return value
 
 
 def _device(command: argparse.ArgumentParser) -> None:
@@ -296,6 +363,10 @@ def _bake(options: argparse.Namespace) -> int:
 
 def _view(options: argparse.Namespace) -> int:
     return _command("view.command")(options)
+
+
+def _bench(options: argparse.Namespace) -> int:
+    return _command("bench.command")(options)
 
 
 def _devices(options: argparse.Namespace) -> int:

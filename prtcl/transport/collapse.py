@@ -15,7 +15,6 @@ from prtcl.factors.environment import Light
 from prtcl.transport.settings import Settings
 from prtcl.wavelet import haar, masked, pyramid, triple
 
-visibility_coefficients, product_of = masked.visibility_coefficients, masked.reduce_samples  # TEMPORARY
 GROUP = 64
 PRODUCT = Tunable("product", (Form("stages"), Form("wide")), cpu=Form("wide"), gpu=Form("stages"))
 """Products stored and then transformed or packed (product.cl), or all in one pass over vectors (product_wide.cl)."""
