@@ -25,7 +25,7 @@ class Settings:
         product (multiply fine, keep coarse)
     views : stored view angles (frames turned to the viewer) or nodes a side (fixed frames)
     method : the product in the "pixel" domain or through the "tree"; "auto" takes the pixel domain, which was
-        faster on dense light on PoCL, the one device measured (bench/reduce.py), and is the better conditioned one
+        faster on every device measured (`prtcl bench`), and is the better conditioned one
     hard : "auto" takes hard light out of the map, "off" leaves it in
     visibility : "adaptive" traces rays where neighbours disagree (`prtcl.factors.refine`), "every" traces all
     pixel_error : relative RMSE over the image that adaptive sub-pixel points aim at, by an estimate on the safe

@@ -9,6 +9,7 @@ counts one. Index arithmetic, conversions and bits count nothing.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
