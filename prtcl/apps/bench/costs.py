@@ -153,14 +153,13 @@ def sparse_reduction(size: Size, words: npt.NDArray[np.uint32]) -> Cost:
     """
     flat = np.unpackbits(words.astype("<u4").view(np.uint8), axis=1, bitorder="little")[:, : size.samples]
     mixed = written = 0
-    some, every = flat.astype(np.bool_), flat.astype(np.bool_)
+    some: Any = flat
+    every: Any = flat
     for level in reversed(range(size.levels)):
-        some, every = (
-            some.reshape(len(words), 4**level, 4).any(2),
-            every.reshape(len(words), 4**level, 4).all(2),
-        )
-        mixed += int((some & ~every).sum())
-        written += int((~every).sum())
+        shape = (len(words), 4**level, 4)
+        some, every = some.reshape(shape).max(2), every.reshape(shape).min(2)
+        mixed += int((some > every).sum())
+        written += int((every == 0).sum())
     moved = 3 * REAL * size.channels * (mixed + written)
     return len(words) * size.bits + moved, max(1, 2 * BUTTERFLY * size.channels * mixed)
 
