@@ -80,8 +80,62 @@ def browser(data: Data) -> None:
         print(f"{name}: " + ", ".join(f"{key} {value:.1f}" for key, value in row.items()))
 
 
+def bench(data: Data) -> None:
+    """`prtcl bench`: rates and shares of the neighbouring copy; rivals of three channels."""
+    ours = [row for row in data["rows"] if row["rival"] is None]
+    sizes = sorted({row["levels"] for row in ours})
+    most = max(row["channels"] for row in ours)
+    print("\n| stage | " + " | ".join(f"4^{levels} directions" for levels in sizes) + " |")
+    print("|---" * (1 + len(sizes)) + "|")
+    for title in dict.fromkeys(row["title"] for row in ours):
+        cells = []
+        for levels in sizes:
+            own = [row for row in ours if (row["title"], row["levels"]) == (title, levels)]
+            row = max(own, key=lambda each: each["channels"])
+            share = row["share_of_copy"]
+            cells.append(f"{row['points_per_second']:,.0f}/s" + (f", {100 * share:.0f} %" if share else ""))
+        print(f"| {title} | " + " | ".join(cells) + " |")
+    rivals = [row for row in data["rows"] if row["rival"] is not None and row.get("times_faster")]
+    print("\n| stage | rival | times as fast |\n|---|---|---|")
+    for title, rival in dict.fromkeys((row["title"], row["rival"]) for row in rivals):
+        found = [row for row in rivals if (row["title"], row["rival"]) == (title, rival)]
+        times = [row["times_faster"] for row in found if row["channels"] == most or row["channels"] == 1]
+        print(f"| {title} | {rival} | {min(times):.1f} to {max(times):.1f} |")
+    print(f"\n{data['device']}, {data['platform']}, {data['date']}, `{data['command']}`\n")
+
+
+def change(data: Data) -> None:
+    """What a change costs here and in Mitsuba at equal error: the session's default setting, by the lower figure."""
+    print(
+        "\n| change | environment | material | points | ours | error | Mitsuba at that error | times as fast |"
+    )
+    print("|---" * 8 + "|")
+    for row in data["rows"]:
+        if row["setting"] == 0.01:
+            print(
+                f"| {row['change']} | {row['environment']} | `{row['material']}` | {row['points']:,} | "
+                f"{1e3 * row['seconds']:,.0f} ms | {100 * max(row['error'], row['check']['rmse']):.2f} % | "
+                f"{row['times_faster_by_check'] * row['seconds']:.1f} s | {row['times_faster_by_check']:.0f} |"
+            )
+
+
+def sparse(data: Data) -> None:
+    """The reduction in place against the dense one."""
+    print(
+        "\n| mesh | directions | mixed, hidden squares | dense, points/s | in place | times as fast |\n"
+        + "|---" * 6
+        + "|"
+    )
+    for row in data["rows"]:
+        print(
+            f"| {row['mesh']} | 4^{row['levels']} | {100 * row['mixed']:.0f} %, {100 * row['hidden']:.0f} % | "
+            f"{row['dense_points_per_second']:,.0f} | {row['sparse_points_per_second']:,.0f} | "
+            f"{row['times_faster']:.1f} |"
+        )
+
+
 if __name__ == "__main__":
-    for table in (accuracy, mitsuba, editing, visibility, browser):
+    for table in (accuracy, mitsuba, editing, visibility, browser, bench, change, sparse):
         path = RESULTS / f"{table.__name__}.json"
         if path.is_file():
             table(json.loads(path.read_text(encoding="utf-8")))

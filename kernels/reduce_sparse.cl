@@ -56,16 +56,24 @@ inline int state_of(const global uint *words, const int depth, const int index)
     return (own == 0u) ? HIDDEN : VISIBLE;
 }
 
-// The details of square (level, index) and all below it become 0, in every channel.
+// The details of square (level, index) and all below it become 0, in every channel: runs of 3, 12, 48, 192 ... REALs.
 inline void clear(global REAL *rows, const int level, const int index)
 {
-    for (int c = 0; c < CHANNELS; ++c)
-        for (int at = level; at < LEVELS; ++at) {
-            const int count = 3 * N_SAMPLES(at - level);
-            global REAL *details = rows + c * N_SAMPLES(LEVELS) + N_SAMPLES(at) + index * count;
-            for (int i = 0; i < count; ++i)
-                details[i] = (REAL)0;
+    for (int c = 0; c < CHANNELS; ++c) {
+        global REAL *row = rows + c * N_SAMPLES(LEVELS);
+        vstore3((JOIN(REAL, 3))((REAL)0), 0, row + coefficient_at(level, index));
+        if (level + 1 < LEVELS) {
+            global REAL *twelve = row + coefficient_at(level + 1, 4 * index);
+            vstore8((JOIN(REAL, 8))((REAL)0), 0, twelve);
+            vstore4((REAL4)((REAL)0), 2, twelve);
         }
+        for (int at = level + 2; at < LEVELS; ++at) {
+            const int run = N_SAMPLES(at - level);
+            global REAL *details = row + coefficient_at(at, index * run);
+            for (int i = 0; i < 3 * run; i += 16)
+                vstore16((JOIN(REAL, 16))((REAL)0), 0, details + i);
+        }
+    }
 }
 
 // Values of a square's children in every channel.
@@ -74,6 +82,21 @@ inline void open(const global REAL *rows, const int level, const int index, cons
     for (int c = 0; c < CHANNELS; ++c) {
         const global REAL *d = rows + c * N_SAMPLES(LEVELS) + coefficient_at(level, index);
         children[c] = (ACC)0.5 * butterfly((ACC4)(own[c], (ACC)d[0], (ACC)d[1], (ACC)d[2]));
+    }
+}
+
+// A mixed square of the finest level, whose children are samples, in one go: `own` in and out as above.
+inline void open_and_fold(global REAL *rows, const int index, const uint seen, ACC *own)
+{
+    for (int c = 0; c < CHANNELS; ++c) {
+        global REAL *d = rows + c * N_SAMPLES(LEVELS) + coefficient_at(LEVELS - 1, index);
+        const ACC4 x = (ACC)0.5 * butterfly((ACC4)(own[c], (ACC)d[0], (ACC)d[1], (ACC)d[2]));
+        const ACC4 y = (ACC)0.5 * butterfly((ACC4)((seen & 1u) ? x.s0 : (ACC)0, (seen & 2u) ? x.s1 : (ACC)0,
+                                                  (seen & 4u) ? x.s2 : (ACC)0, (seen & 8u) ? x.s3 : (ACC)0));
+        d[0] = TO_REAL(y.s1);
+        d[1] = TO_REAL(y.s2);
+        d[2] = TO_REAL(y.s3);
+        own[c] = y.s0;
     }
 }
 
@@ -125,16 +148,28 @@ void reduce_sparse(global REAL *restrict a, const global uint *restrict bits, co
     for (int c = 0; c < CHANNELS; ++c)
         own[c] = (ACC)rows[c * N_SAMPLES(LEVELS)];
     int level = 0, index = 0;
-    open(rows, 0, 0, own, values[0]);
+    if (LEVELS == 1) {
+        open_and_fold(rows, 0, words[0], own);
+        level = -1;
+    } else
+        open(rows, 0, 0, own, values[0]);
     next[0] = 0;
     while (level >= 0) {
-        if (level == LEVELS - 1) {      // children are samples: all four at once
-            const int first = 4 * index;
-            const uint seen = words[first >> 5] >> (first & 31);
-            for (int c = 0; c < CHANNELS; ++c) {
-                const ACC4 x = values[level][c];
-                values[level][c] = (ACC4)((seen & 1u) ? x.s0 : (ACC)0, (seen & 2u) ? x.s1 : (ACC)0,
-                                          (seen & 4u) ? x.s2 : (ACC)0, (seen & 8u) ? x.s3 : (ACC)0);
+        if (level == LEVELS - 2) {      // children are the finest squares: all four at once
+            const int first = 16 * index;
+            const uint sixteen = words[first >> 5] >> (first & 31);
+            for (int child = 0; child < 4; ++child) {
+                const uint seen = (sixteen >> (4 * child)) & 15u;
+                if (seen == 15u)
+                    continue;
+                for (int c = 0; c < CHANNELS; ++c)
+                    own[c] = (seen == 0u) ? (ACC)0 : child_of(values[level][c], child);
+                if (seen == 0u)
+                    clear(rows, LEVELS - 1, 4 * index + child);
+                else
+                    open_and_fold(rows, 4 * index + child, seen, own);
+                for (int c = 0; c < CHANNELS; ++c)
+                    values[level][c] = with_child(values[level][c], child, own[c]);
             }
             next[level] = 4;
         }

@@ -5,7 +5,7 @@
 // come from memory.
 //
 //   launch      n_points / POINTS work-items, rounded up, in groups of one; KEEP at least 2; all else as in shade.cl
-//   rounding    sixteen sums of 4^KEEP / 16 terms in order, then a tree of 4 levels
+//   rounding    thirty-two sums of 4^KEEP / 32 terms in order, then a tree of 5 levels
 
 #include "common.clh"
 #include "quadtree.clh"
@@ -30,6 +30,9 @@
   #define POINTS 8      // points a work-item
 #endif
 
+// What is counted in small constants is to stay in registers.
+#define UNROLL _Pragma("unroll")
+
 // Derived
 #define ROW_SIZE N_SAMPLES(KEEP)
 #define SUMS (CHANNELS > SLICE_CHANNELS ? CHANNELS : SLICE_CHANNELS)
@@ -41,6 +44,16 @@ inline ACC total16(const ACC16 x)
     return (b.x + b.z) + (b.y + b.w);
 }
 
+// Sixteen values of f_v, interpolated.
+inline ACC16 slice16(const global REAL *const *slice, const ACC *share, const int at)
+{
+    ACC16 f = share[0] * load16(slice[0] + at);
+    UNROLL
+    for (int k = 1; k < N_SLICES; ++k)
+        f += share[k] * load16(slice[k] + at);
+    return f;
+}
+
 kernel __attribute__((reqd_work_group_size(1, 1, 1)))
 void inner_product_wide(const global REAL *restrict reduced, const global REAL *restrict slices,
                         const global int *restrict index, const global REAL *restrict weight,
@@ -49,34 +62,28 @@ void inner_product_wide(const global REAL *restrict reduced, const global REAL *
     const size_t first = get_global_id(0) * POINTS;
     for (size_t point = first; point < min(first + POINTS, (size_t)n_points); ++point) {
         const global REAL *coefficients = reduced + point * CHANNELS * ROW_SIZE;
-        const int more = point + 1 < (size_t)n_points;
         const global REAL *slice[N_SLICES];
         ACC share[N_SLICES];
         for (int k = 0; k < N_SLICES; ++k) {
             slice[k] = slices + (size_t)index[point * N_SLICES + k] * SLICE_CHANNELS * ROW_SIZE;
             share[k] = (ACC)weight[point * N_SLICES + k];
         }
-        ACC16 sum[SUMS];
-        for (int c = 0; c < SUMS; ++c)
-            sum[c] = (ACC16)((ACC)0);
-        for (int j = 0; j < ROW_SIZE; j += 16) {
-            ACC16 f[SLICE_CHANNELS], a[CHANNELS];
-            for (int c = 0; c < SLICE_CHANNELS; ++c) {
-                f[c] = share[0] * load16(slice[0] + c * ROW_SIZE + j);
-                for (int k = 1; k < N_SLICES; ++k)
-                    f[c] += share[k] * load16(slice[k] + c * ROW_SIZE + j);
+        // A channel after another, in two sums each: few streams at a time, and none waits for the other's addition.
+        ACC total[SUMS];
+        for (int c = 0; c < SUMS; ++c) {
+            const global REAL *a = coefficients + (CHANNELS == 1 ? 0 : c) * ROW_SIZE;
+            const int at = (SLICE_CHANNELS == 1 ? 0 : c) * ROW_SIZE;
+            ACC16 even = (ACC16)((ACC)0), odd = (ACC16)((ACC)0);
+            for (int j = 0; j < ROW_SIZE; j += 32) {
+                even += load16(a + j) * slice16(slice, share, at + j);
+                if (ROW_SIZE > 16)
+                    odd += load16(a + j + 16) * slice16(slice, share, at + j + 16);
             }
-            for (int c = 0; c < CHANNELS; ++c) {
-                a[c] = load16(coefficients + c * ROW_SIZE + j);
-                if (more)
-                    fetch_ahead(coefficients + (CHANNELS + c) * ROW_SIZE + j, 16);
-            }
-            for (int c = 0; c < SUMS; ++c)
-                sum[c] += a[CHANNELS == 1 ? 0 : c] * f[SLICE_CHANNELS == 1 ? 0 : c];
+            total[c] = total16(even + odd);
         }
-        const REAL r = TO_REAL((ACC)scale * total16(sum[0]));
-        const REAL g = TO_REAL((ACC)scale * total16(sum[SUMS == 1 ? 0 : 1]));
-        const REAL b = TO_REAL((ACC)scale * total16(sum[SUMS == 1 ? 0 : 2]));
+        const REAL r = TO_REAL((ACC)scale * total[0]);
+        const REAL g = TO_REAL((ACC)scale * total[SUMS == 1 ? 0 : 1]);
+        const REAL b = TO_REAL((ACC)scale * total[SUMS == 1 ? 0 : 2]);
         const REAL4 radiance = (REAL4)(r, g, b, (REAL)0);
         dst[point] = add ? dst[point] + radiance : radiance;
     }
