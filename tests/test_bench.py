@@ -13,13 +13,13 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 
-from prtcl.apps.bench import command, compare, costs, limits, plots, table, world
+from prtcl.apps.bench import command, compare, costs, limits, plots, table, tune, world
 from prtcl.apps.bench.costs import Size
 from prtcl.apps.bench.registry import STAGES, Job, Stage
 from prtcl.apps.bench.rivals import RIVALS
 from prtcl.apps.bench.runner import Limits, rows
 from prtcl.apps.cli import main
-from prtcl.compute import choice
+from prtcl.compute import choice, tuning
 from prtcl.compute.device import Device
 from prtcl.errors import InputError
 from prtcl.wavelet import haar, masked
@@ -466,3 +466,24 @@ def test_a_wrong_rival_is_compared_with_nothing(device: Device, monkeypatch: pyt
 
 def test_every_rival_rivals_a_stage() -> None:
     assert set(RIVALS) <= set(STAGES)
+
+
+def test_the_tuner_tries_every_form_and_keeps_one(
+    device: Device, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(tuning.VARIABLE, str(tmp_path / "tuning.json"))
+    monkeypatch.setattr(tune, "LEVELS", (LEVELS,))
+    monkeypatch.setattr(tune, "TIMED_BY", {"haar": ("forward_haar",), "sparse": ("sparse_reduction",)})
+    found = tune.tune(device, POINTS, 5, 2**28)
+    for name, (form, ratios) in found.items():
+        assert form in tuning.KNOWN[name].forms and len(ratios) == len(tuning.KNOWN[name].forms)
+        assert min(ratios.values()) == ratios[f"{form.name} {form.size}"] == 1.0
+    assert set(tune.TIMED_BY) <= set(tuning.KNOWN)
+    tuning.save(device, {name: form for name, (form, _) in found.items()})
+    assert tuning.KNOWN["haar"].of(device) == found["haar"][0]
+    tuning._entries.cache_clear()
+
+
+def test_every_tunable_of_the_library_is_timed() -> None:
+    assert set(tune.TIMED_BY) == set(tuning.KNOWN)
+    assert {stage for stages in tune.TIMED_BY.values() for stage in stages} <= set(STAGES)

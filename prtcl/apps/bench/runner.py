@@ -78,7 +78,7 @@ def rows(
     timing, result = measure(device, job.call, runs=runs, times=parts, reset=job.reset)
     error = job.check(result)
     clock = "device" if stage.clock == "device" and min(timing.device) > 0 else "wall"
-    seconds = timing.device if clock == "device" else timing.wall
+    seconds = timing.kernels if clock == "device" else timing.wall
     count, each = batch * parts, median(seconds)
     row: Row = {
         "stage": stage.name, "title": stage.title, "rival": None, "device": device.name, "unit": stage.unit,

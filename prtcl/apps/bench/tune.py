@@ -27,7 +27,7 @@ LEVELS, CHANNELS = (5, 6), 3
 def tune(device: Device, points: int, runs: int, memory: float) -> dict[str, tuple[Form, dict[str, float]]]:
     """The best form of each tunable, and seconds relative to it of all forms.
 
-    A form's figure is the geometric mean over stages and levels of its median device seconds.
+    A form's figure is the geometric mean over stages and levels of its median seconds.
     """
     found = {}
     for name, stages in TIMED_BY.items():
@@ -41,7 +41,7 @@ def tune(device: Device, points: int, runs: int, memory: float) -> dict[str, tup
                 for form in tunable.forms:
                     with tunable.trial(form):
                         timing, _ = measure(device, job.call, runs=runs, reset=job.reset)
-                    spent[form] += log(max(median(timing.device), 1e-9))
+                    spent[form] += log(median(timing.kernels))
                 del job
                 give_back(device)
         best = min(tunable.forms, key=lambda form: spent[form])
