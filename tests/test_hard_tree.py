@@ -15,6 +15,7 @@ from prtcl import reference
 from prtcl.compute.device import Device
 from prtcl.factors.material import Material
 from prtcl.factors.slices import Materials
+from prtcl.transport import hard_tree
 from prtcl.transport.hard_tree import HardSums, Tree
 from prtcl.wavelet import pyramid
 
@@ -165,3 +166,19 @@ def test_a_cut_errs_about_as_it_may(device: Device, sun: bool) -> None:
 def test_no_hard_light_is_no_node() -> None:
     tree = Tree.over(np.zeros((0, 6)))
     assert len(tree.ranges) == len(tree.cut(0.3, 0.01)) == 0
+
+
+def test_runs_cover_the_samples_and_are_narrow() -> None:
+    rng = np.random.default_rng(0)
+    sun = np.array([0.0, 0.6, 0.8]) + 0.01 * rng.normal(size=(150, 3))
+    directions = np.concatenate([sun, rng.normal(size=(30, 3))])
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    tree = Tree.over(np.concatenate([directions, rng.uniform(0.5, 1, (180, 3))], axis=1))
+    starts = tree.runs()
+    assert starts[0] == 0 and (np.diff(starts) > 0).all()
+    ends = np.append(starts[1:], 180)
+    assert (ends - starts).max() <= hard_tree.RUN and len(starts) < 90
+    for first, last in zip(starts, ends, strict=True):
+        own = directions[tree.order[first:last]]
+        assert last - first == 1 or np.linalg.norm(own - own.mean(axis=0), axis=1).max() < 6 * hard_tree.NEAR
+    assert Tree.over(np.zeros((0, 6))).runs().tolist() == []

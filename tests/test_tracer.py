@@ -285,6 +285,39 @@ def test_light_visibility(count: int) -> None:
         assert 0 < seen.mean() < 1
 
 
+def test_runs_of_lights_are_traced_where_their_probes_differ() -> None:
+    """Suns of 40 directions within a degree, and lone ones between: few rays, and few bits that differ."""
+    vertices, faces, positions, normals = scene()
+    frames, tracer = hemisphere.frames_from(normals), Tracer(vertices, faces)
+    origins = tracer.origins(positions, frames[:, 2])
+    rng = np.random.default_rng(3)
+    middles = rng.normal(size=(6, 3))
+    middles /= np.linalg.norm(middles, axis=1, keepdims=True)
+    lights, runs = [], []
+    for k, middle in enumerate(middles):
+        for part in [40, 1, 2] if k % 2 else [40, 3]:
+            runs.append(sum(map(len, lights)))
+            close = middle + (0.01 if part == 40 else 0.5) * rng.normal(size=(part, 3))
+            lights.append(close / np.linalg.norm(close, axis=1, keepdims=True))
+    towards = np.concatenate(lights)
+    arguments = (origins, frames[:, 2], towards)
+    before = tracer.rays
+    exact = tracer.light_visibility(*arguments)
+    whole = tracer.rays - before
+    assert (tracer.light_visibility(*arguments, runs=np.arange(len(towards))) == exact).all()
+    before = tracer.rays
+    got = tracer.light_visibility(*arguments, runs=np.array(runs))
+    assert tracer.rays - before < whole / 3
+    wrong = np.unpackbits((got ^ exact).view(np.uint8)).sum() / (len(origins) * len(towards))
+    assert wrong < 0.01
+    # Runs of three or fewer are all probes.
+    n = np.concatenate(
+        [np.arange(a, b) for a, b in zip(runs, [*runs[1:], len(towards)], strict=True) if b - a <= 3]
+    )
+    differs = (got ^ exact)[:, n // 32] >> (n % 32).astype(np.uint32) & 1
+    assert not differs.any()
+
+
 def test_rays_are_counted_where_they_are_traced(monkeypatch: pytest.MonkeyPatch) -> None:
     """From all threads; directions below the horizon are no rays, nor are those of the camera counted."""
     monkeypatch.setattr(module, "RAYS_PER_TASK", 64)

