@@ -1,6 +1,6 @@
 """What a change costs here and in Mitsuba 3 at equal error: a view and a material, or a light, on the same cores.
 
-    DRJIT_LIBLLVM_PATH=/path/to/libLLVM-19.so python bench/change.py [-o bench/results/change.json] [--plot change.png]
+    DRJIT_LIBLLVM_PATH=/path/to/libLLVM-19.so python bench/change.py [-o bench/results/change.json]
 
 `view+brdf`: a frame with a new eye and a new material, 40,000 vertices that face the eye (some of them twice where
 there are fewer), for several settings of a session's `error`. Light and visibility are there. Medians of nine frames.
@@ -26,7 +26,6 @@ from __future__ import annotations
 import argparse
 import datetime
 import importlib.metadata
-import json
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -359,69 +358,9 @@ def lights(device: Device, options: Any) -> list[dict[str, Any]]:
     return rows
 
 
-# --- the picture --------------------------------------------------------------------------------------------
-
-
-def plot(data: dict[str, Any], path: Path) -> None:
-    """Error against time, a panel a material and kind of change."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib import pyplot as plt
-
-    rows = data["rows"]
-    kinds, materials = (list(dict.fromkeys(row[key] for row in rows)) for key in ("kind", "material"))
-    environments = list(dict.fromkeys(row["environment"] for row in rows))
-    figure, axes = plt.subplots(
-        len(kinds),
-        len(materials),
-        figsize=(5.2 * len(materials), 4.4 * len(kinds)),
-        squeeze=False,
-        sharey="row",
-    )
-    for panel, kind in zip(axes, kinds, strict=True):
-        for ax, material in zip(panel, materials, strict=True):
-            here = [row for row in rows if (row["kind"], row["material"]) == (kind, material)]
-            for environment, change in dict.fromkeys((row["environment"], row["change"]) for row in here):
-                own = [row for row in here if (row["environment"], row["change"]) == (environment, change)]
-                colour = f"C{environments.index(environment)}"
-                turned = change == "the same, turned"
-                name = environment + (", turned" if turned else "")
-                line = ":" if turned else "--"
-                _, seconds, noise = np.array(own[0]["mitsuba"]).T
-                ax.plot(seconds, 100 * noise, line, marker=".", color=colour, label=f"Mitsuba 3, {name}")
-                _, seconds, noise = np.array(own[0]["mitsuba"][-1:] + own[0]["mitsuba_beyond"]).T
-                ax.plot(seconds, 100 * noise, line, color=colour, alpha=0.4)
-                ours = sorted((row["seconds"], 100 * row["error"]) for row in own)
-                ax.plot(
-                    *zip(*ours, strict=True), "-", marker="o", markersize=8, color=colour, label=f"prtcl, {name}",
-                    fillstyle="none" if turned else "full",
-                )  # fmt: skip
-            what = "new view and material" if kind == "view+brdf" else "new light"
-            ax.set(
-                xscale="log",
-                yscale="log",
-                xlabel="seconds",
-                title=f"{what}, {here[0]['points']:,} points\n{material}",
-            )
-            ax.grid(True, which="both", alpha=0.25)
-        panel[0].set_ylabel("relative RMSE, %")
-        panel[-1].legend(fontsize="small", loc="upper left", bbox_to_anchor=(1.02, 1.0))
-    figure.suptitle(
-        "Error against time on the same cores; pale: Mitsuba's noise at a part of the points, time scaled"
-    )
-    figure.tight_layout()
-    figure.savefig(path, dpi=110)
-    plt.close(figure)
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("-o", "--output", type=Path)
-    parser.add_argument("--plot", type=Path, metavar="PATH.png", help="draw the rows, too")
-    parser.add_argument(
-        "--read", type=Path, metavar="PATH.json", help="measure nothing, draw what is in a file"
-    )
     parser.add_argument("--mesh", default="stanford_bunny")
     parser.add_argument("--light-mesh", default="bob_342k")
     parser.add_argument("--environments", nargs="+", default=scenes.ENVIRONMENTS[:2])
@@ -434,24 +373,20 @@ def main() -> None:
     parser.add_argument("--limit", type=float, default=20.0, help="seconds that a run of Mitsuba may take")
     parser.add_argument("--check-spp", type=int, default=CHECK_SPP)
     options = parser.parse_args()
-    if options.read is None:
-        scenes.require_data()
-        device, rows = Device(), []
-        if "view+brdf" in options.kinds:
-            for environment in options.environments:
-                rows += views(device, environment, options)
-        if "light" in options.kinds:
-            rows += lights(device, options)
-        data = dict(
-            device=device.name, driver=device.handle.driver_version, command="python bench/change.py",
-            mitsuba=importlib.metadata.version("mitsuba"), date=datetime.date.today().isoformat(),
-            sample=options.sample, limit=options.limit, rows=rows,
-        )  # fmt: skip
-        scenes.save(options.output, **data)
-    else:
-        data = json.loads(options.read.read_text(encoding="utf-8"))
-    if options.plot is not None:
-        plot(data, options.plot)
+    scenes.require_data()
+    device, rows = Device(), []
+    if "view+brdf" in options.kinds:
+        for environment in options.environments:
+            rows += views(device, environment, options)
+    if "light" in options.kinds:
+        rows += lights(device, options)
+    given = {name: value for name, value in vars(options).items() if value != parser.get_default(name)}
+    given.pop("output", None)
+    scenes.save(
+        options.output, device=device.name, driver=device.driver, command="python bench/change.py",
+        mitsuba=importlib.metadata.version("mitsuba"), date=datetime.date.today().isoformat(), options=given,
+        sample=options.sample, limit=options.limit, rows=rows,
+    )  # fmt: skip
 
 
 if __name__ == "__main__":

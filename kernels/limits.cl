@@ -14,6 +14,7 @@
 //   work               2 * 16 * ACCUMULATORS * iterations flops a work-item, one REAL stored
 
 #include "common.clh"
+#include "wide.clh"
 
 // Problem constants
 #ifndef ROW
@@ -26,20 +27,6 @@
 #endif
 #ifndef ACCUMULATORS
   #define ACCUMULATORS 8    // enough to hide a multiply-add's latency, few enough for the registers
-#endif
-
-// Derived
-#ifndef REAL16
-  #define REAL16 JOIN(REAL, 16)
-#endif
-
-#ifdef __has_builtin
-  #if __has_builtin(__builtin_nontemporal_store)
-    #define PAST_CACHES(value, at) __builtin_nontemporal_store(value, at)
-  #endif
-#endif
-#ifndef PAST_CACHES
-  #define PAST_CACHES(value, at) (*(at) = (value))
 #endif
 
 kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
@@ -67,7 +54,7 @@ void copy_rows_stream(const global REAL16 *restrict src, global REAL16 *restrict
     if (row >= (size_t)n)
         return;
     for (size_t i = row * (ROW / 16); i < (row + 1) * (ROW / 16); ++i)
-        PAST_CACHES(src[i], dst + i);
+        STREAM(src[i], dst + i);
 }
 
 // x <- factor x + offset over and over: neither is known to the compiler, and the sum of all chains is stored.

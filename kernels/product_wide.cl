@@ -17,12 +17,10 @@
 #include "wide.clh"
 #include "cube_wide.clh"
 #include "mask_wide.clh"
+#include "keep_wide.clh"
 #include "shared_exponent.clh"
 
 // Problem constants
-#ifndef KEEP
-  #error "KEEP: pass -D KEEP=<levels kept, 1 ... LEVELS>"
-#endif
 #ifndef CHANNELS
   #error "CHANNELS: pass -D CHANNELS=1 or 3"
 #endif
@@ -63,23 +61,12 @@ void light_times_visibility_reduced(const global REAL4 *restrict cube, const int
         ACC16 p[4][CHANNELS];
         for (int k = 0; k < 4; ++k)
             product16(cube, face, directions, frame, words, weight, cell + 16 * k, p[k]);
-        for (int c = 0; c < CHANNELS; ++c) {
-            ACC16 sums;
-            if (KEEP == LEVELS)
-                sums = fold16(p[0][c], p[1][c], p[2][c], p[3][c],
-                              rows + c * N_SAMPLES(KEEP) + coefficient_at(LEVELS - 1, cell / 4));
-            else
-                sums = sums16(p[0][c], p[1][c], p[2][c], p[3][c]);
-            vstore16(sums, 0, x[c] + cell / 4);
-        }
+        for (int c = 0; c < CHANNELS; ++c)
+            vstore16(fold_kept(p[0][c], p[1][c], p[2][c], p[3][c], cell / 4, rows + c * N_SAMPLES(KEEP)), 0,
+                     x[c] + cell / 4);
     }
-    for (int c = 0; c < CHANNELS; ++c) {
-        for (int level = LEVELS - 2; level >= max(KEEP, 2); --level)
-            for (int i = 0; i < N_SAMPLES(level); i += 16)
-                vstore16(sums16(vload16(0, x[c] + 4 * i), vload16(1, x[c] + 4 * i), vload16(2, x[c] + 4 * i),
-                                vload16(3, x[c] + 4 * i)), 0, x[c] + i);
-        fold_row(x[c], clamp(KEEP, 2, LEVELS - 1), KEEP, rows + c * N_SAMPLES(KEEP));
-    }
+    for (int c = 0; c < CHANNELS; ++c)
+        fold_rest(x[c], rows + c * N_SAMPLES(KEEP));
 }
 
 // Sixteen colours to packed words (shared_exponent.clh), bit for bit as `pack_rgb` does.

@@ -22,11 +22,9 @@
 #include "quadtree.clh"
 #include "wide.clh"
 #include "mask_wide.clh"
+#include "keep_wide.clh"
 
 // Problem constants
-#ifndef KEEP
-  #error "KEEP: pass -D KEEP=<levels kept, 1 ... LEVELS>"
-#endif
 #ifndef CHANNELS
   #error "CHANNELS: pass -D CHANNELS=<rows of a per point>"
 #endif
@@ -37,22 +35,12 @@
 // Derived
 #define TOP_SIZE N_SAMPLES(LEVELS - 1)
 
-// Sixty-four products to sums, and to details where they are kept.
-inline ACC16 fold_kept(const ACC16 *p, const int i, global REAL *row)
+// Sixty-four values of a where V lets them pass.
+inline ACC16 fold_masked(ACC16 *p, const global uint *words, const int i, global REAL *row)
 {
-    if (KEEP == LEVELS)
-        return fold16(p[0], p[1], p[2], p[3], row + coefficient_at(LEVELS - 1, i));
-    return sums16(p[0], p[1], p[2], p[3]);
-}
-
-// From 4^(LEVELS-1) sums to the coefficients below KEEP.
-inline void finish(ACC *x, global REAL *row)
-{
-    for (int level = LEVELS - 2; level >= max(KEEP, 2); --level)
-        for (int i = 0; i < N_SAMPLES(level); i += 16)
-            vstore16(sums16(vload16(0, x + 4 * i), vload16(1, x + 4 * i), vload16(2, x + 4 * i),
-                            vload16(3, x + 4 * i)), 0, x + i);
-    fold_row(x, clamp(KEEP, 2, LEVELS - 1), KEEP, row);
+    for (int k = 0; k < 4; ++k)
+        p[k] = masked16(p[k], mask16(words, 4 * i + 16 * k));
+    return fold_kept(p[0], p[1], p[2], p[3], i, row);
 }
 
 // a (+) V from the coefficients of a.
@@ -73,11 +61,9 @@ void reduce_bits(const global REAL *restrict a, const global uint *restrict bits
                 fetch_ahead(row + N_SAMPLES(LEVELS) + 4 * i, 64);
             ACC16 p[4];
             unfold16(vload16(0, values + i), row + coefficient_at(LEVELS - 1, i), p);
-            for (int k = 0; k < 4; ++k)
-                p[k] = masked16(p[k], mask16(words, 4 * i + 16 * k));
-            vstore16(fold_kept(p, i, out), 0, sums + i);
+            vstore16(fold_masked(p, words, i, out), 0, sums + i);
         }
-        finish(sums, out);
+        fold_rest(sums, out);
     }
 }
 
@@ -105,9 +91,9 @@ void reduce_pair(const global REAL *restrict a, const global REAL *restrict b, g
             unfold16(vload16(0, values_b + i), row_b + coefficient_at(LEVELS - 1, i), q);
             for (int k = 0; k < 4; ++k)
                 p[k] *= q[k];
-            vstore16(fold_kept(p, i, out), 0, sums + i);
+            vstore16(fold_kept(p[0], p[1], p[2], p[3], i, out), 0, sums + i);
         }
-        finish(sums, out);
+        fold_rest(sums, out);
     }
 }
 
@@ -128,9 +114,9 @@ void reduce_samples(const global REAL *restrict light, const global uint *restri
                 fetch_ahead(row + N_SAMPLES(LEVELS) + 4 * i, 64);
             ACC16 p[4];
             for (int k = 0; k < 4; ++k)
-                p[k] = masked16(load16(row + 4 * i + 16 * k), mask16(words, 4 * i + 16 * k));
-            vstore16(fold_kept(p, i, out), 0, sums + i);
+                p[k] = load16(row + 4 * i + 16 * k);
+            vstore16(fold_masked(p, words, i, out), 0, sums + i);
         }
-        finish(sums, out);
+        fold_rest(sums, out);
     }
 }

@@ -4,17 +4,15 @@ from __future__ import annotations
 
 import argparse
 import json
-from pathlib import Path
 
 import numpy as np
 
 from prtcl.apps.demo_scene import build
 from prtcl.apps.progress import bar
 from prtcl.compute.device import Device
-from prtcl.errors import InputError
 from prtcl.factors.environment import Environment
 from prtcl.factors.sky import sun_sky
-from prtcl.files.atomic import replacing
+from prtcl.files.atomic import made_folder, replacing
 from prtcl.files.image import write_exr
 from prtcl.scene.camera import Camera
 from prtcl.scene.scene import Scene
@@ -36,13 +34,7 @@ VIEWS = (
 
 def run(options: argparse.Namespace) -> int:
     """Render the demo's images; leave EXR, PNG and report.json in the folder."""
-    folder = Path(options.output)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(
-            f"{folder}: cannot make the folder ({error.strerror}); choose another with -o"
-        ) from error
+    folder = made_folder(options.output)
     device = Device(options.device)
     mesh = build()
     camera = Camera((3.1, 2.5, 5.4), (-0.1, 0.75, -0.3), fov=38.0, size=options.size)

@@ -71,6 +71,8 @@ class Device:
             self.context, self.queue, self.reason = queue.context, queue, "the caller's queue"
         self.handle = self.queue.device
         self.name: str = self.handle.name.strip()
+        self.driver: str = self.handle.driver_version.strip()
+        self.platform: str = self.handle.platform.name.strip()
         self.precision = precision
         self.real, self.accumulator, dtype = PRECISIONS[precision]
         self.dtype: npt.DTypeLike = dtype

@@ -15,7 +15,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from prtcl.errors import InputError
 from prtcl.files.atomic import replacing
@@ -89,8 +89,7 @@ KNOWN: dict[str, Tunable] = {}
 
 def key_of(device: Device) -> str:
     """What a measurement holds for: platform, device and driver."""
-    handle: Any = device.handle
-    return f"{handle.platform.name.strip()} / {device.name} / {handle.driver_version.strip()}"
+    return f"{device.platform} / {device.name} / {device.driver}"
 
 
 def cache_path() -> Path:

@@ -27,6 +27,24 @@ def check_not_input(output: str | os.PathLike[str], *inputs: str | os.PathLike[s
             )
 
 
+def made_folder(path: str | os.PathLike[str]) -> Path:
+    """The folder of a job's outputs, made where it is not there.
+
+    Raises
+    ------
+    InputError
+        If it cannot be made.
+    """
+    folder = Path(path)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(
+            f"{folder}: cannot make the folder ({error.strerror}); choose another with -o"
+        ) from error
+    return folder
+
+
 def check_writable(path: str | os.PathLike[str]) -> None:
     """Refuse an output path that cannot be written, before any work is done. Leaves nothing behind.
 

@@ -146,7 +146,7 @@ class Relit:
         if self._hard is not None:
             points = self.points[new]
             seen = self.tracer.light_visibility(
-                points.origins, points.frames[:, 2], self._hard.samples[:, :3], runs=self._hard.tree.runs()
+                points.origins, points.frames[:, 2], self._hard.samples[:, :3], runs=self._hard.runs
             )
             self._hard.collapse(seen, new)
         self.collapsed[new] = True

@@ -157,6 +157,8 @@ class HardSums:
         self.device, self.count, self.share, self.tree = device, count, share, Tree.over(hard)
         self.samples = hard[self.tree.order]
         """(k, 6) in the tree's order, which visibility bits must have."""
+        self.runs = self.tree.runs()
+        """Where runs of samples begin whose visibility is traced together."""
         self.scale = pyramid.scale_for(float(hard[:, 3:].sum(axis=0).max(initial=0.0)))
         padded = np.zeros((len(hard), 4))
         padded[:, :3] = self.samples[:, 3:]

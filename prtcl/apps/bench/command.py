@@ -21,7 +21,7 @@ from prtcl.compute import tuning
 from prtcl.compute.device import Device
 from prtcl.errors import InputError
 from prtcl.factors.visibility import threads
-from prtcl.files.atomic import check_writable, replacing
+from prtcl.files.atomic import check_writable, made_folder, replacing
 
 Row = dict[str, Any]
 ORDER = ("visibility", "bits_to_coefficients", "light", "light_times_visibility", "light_times_visibility_reduced",
@@ -47,9 +47,10 @@ def run(options: argparse.Namespace) -> int:
     old = None if options.compare is None else compare.read(options.compare)
     folder = None if options.output is None else _folder(options.output, options.no_plots)
     with Device(options.device) as device:
+        memory = device.memory / 4 if options.memory is None else options.memory * 2**30
         if options.tune:
-            _tune(device, options)
-        result = _measured(device, names, options)
+            _tune(device, memory, options)
+        result = _measured(device, names, memory, options)
     if folder is not None:
         with replacing(folder / "bench.json") as aside:
             aside.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
@@ -73,9 +74,8 @@ def run(options: argparse.Namespace) -> int:
     return status
 
 
-def _tune(device: Device, options: argparse.Namespace) -> None:
+def _tune(device: Device, memory: float, options: argparse.Namespace) -> None:
     """Time every form of every kernel, and keep the fastest for this device."""
-    memory = device.memory / 4 if options.memory is None else options.memory * 2**30
     found = tune(device, min(options.points[0], 10_000), options.runs, memory)
     path = tuning.save(device, {name: form for name, (form, _) in found.items()})
     if not options.quiet:
@@ -98,19 +98,12 @@ def _folder(output: str, no_plots: bool) -> Path:
     """The folder of the results, made; found out before any work."""
     if not no_plots:
         plots.require()
-    folder = Path(output)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(
-            f"{folder}: cannot make the folder ({error.strerror}); choose another with -o"
-        ) from error
+    folder = made_folder(output)
     check_writable(folder / "bench.json")
     return folder
 
 
-def _measured(device: Device, names: list[str], options: argparse.Namespace) -> Row:
-    memory = device.memory / 4 if options.memory is None else options.memory * 2**30
+def _measured(device: Device, names: list[str], memory: float, options: argparse.Namespace) -> Row:
     top = Limits.of(device, options.runs)
     found = []
     for row in _rows(device, names, top, memory, options):
@@ -122,8 +115,8 @@ def _measured(device: Device, names: list[str], options: argparse.Namespace) -> 
         "format": compare.FORMAT,
         "prtcl": __version__,
         "device": device.name,
-        "driver": device.handle.driver_version.strip(),
-        "platform": device.handle.platform.name.strip(),
+        "driver": device.driver,
+        "platform": device.platform,
         "date": datetime.now(timezone.utc).isoformat(timespec="seconds"),
         "cpus": threads(),
         "command": shlex.join(["prtcl", *(getattr(options, "arguments", None) or ["bench"])]),
