@@ -7,6 +7,7 @@ import tempfile
 import threading
 import warnings
 from collections.abc import Callable, Hashable
+from functools import cached_property
 from types import TracebackType
 from typing import Any
 
@@ -71,8 +72,6 @@ class Device:
             self.context, self.queue, self.reason = queue.context, queue, "the caller's queue"
         self.handle = self.queue.device
         self.name: str = self.handle.name.strip()
-        self.driver: str = self.handle.driver_version.strip()
-        self.platform: str = self.handle.platform.name.strip()
         self.precision = precision
         self.real, self.accumulator, dtype = PRECISIONS[precision]
         self.dtype: npt.DTypeLike = dtype
@@ -104,6 +103,16 @@ class Device:
         return f"<prtcl.Device {self.name}, {self.precision}>"
 
     # --- memory ---------------------------------------------------------------------------------------------
+
+    @cached_property
+    def driver(self) -> str:
+        """The driver's version."""
+        return str(self.handle.driver_version.strip())
+
+    @cached_property
+    def platform(self) -> str:
+        """Name of the OpenCL implementation."""
+        return str(self.handle.platform.name.strip())
 
     @property
     def memory(self) -> int:
