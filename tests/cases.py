@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -16,9 +15,6 @@ from prtcl.compute.device import Device
 from prtcl.factors.sky import sun_sky
 from prtcl.files.image import write_exr
 from prtcl.scene.camera import Camera
-
-MOST_LEVELS = int(os.environ.get("PRTCL_TEST_LEVELS", "7"))
-"""Of transforms and products: fewer on a second implementation that builds deep trees slowly."""
 
 GROUP_EDGES = (1, 63, 64, 65, 131)
 """Row counts about a work-group of 64, and a prime of several groups."""

@@ -37,10 +37,12 @@ KERNEL = re.compile(r"\b(?:__)?kernel\b[^;{}]*?\bvoid\s+(\w+)\s*\(")
 COMMENT = re.compile(r"//[^\n]*|/\*.*?\*/", re.DOTALL)
 
 
-def kernels_of_the_sources() -> list[str]:
-    """Names of all kernels of kernels/*.cl, each once."""
+def kernels_of_the_sources(wide: bool = True) -> list[str]:
+    """Names of all kernels of kernels/*.cl, each once; without `wide` those in vectors of sixteen are left out."""
     found: list[str] = []
     for path in sorted(kernel_folder().glob("*.cl")):
+        if not wide and path.stem.endswith("_wide"):
+            continue
         names = KERNEL.findall(COMMENT.sub(" ", path.read_text(encoding="utf-8")))
         assert names, f"{path.name}: no kernel was found in it"
         found += names
@@ -346,11 +348,10 @@ TASKS: tuple[Callable[[Device], None], ...] = (
 
 
 def main() -> None:
-    wanted = kernels_of_the_sources()
     single = Watched("float32")
     double = "cl_khr_fp64" in single.handle.extensions
     for device in [single, *([Watched("mixed"), Watched("float64")] if double else [])]:
-        for wide in (False, True):
+        for wide in (False, True) if device.takes_vectors else (False,):
             with cases.forms(wide):
                 for task in TASKS:
                     try:
@@ -358,6 +359,7 @@ def main() -> None:
                     except AssertionError as error:
                         where = f"{device.name}, {device.precision}, {task.__name__}, {wide=}"
                         raise SystemExit(f"{where}: {error}") from error
+        wanted = kernels_of_the_sources(device.takes_vectors)
         missing = [name for name in wanted if name not in device.launched]
         if missing:
             raise SystemExit(f"these kernels were never launched: {', '.join(missing)}")

@@ -28,9 +28,7 @@ def form(request: pytest.FixtureRequest) -> Iterator[Form]:
         yield request.param
 
 
-LEVELS_AND_ROWS = [
-    (levels, rows) for levels in range(1, cases.MOST_LEVELS + 1) for rows in cases.row_counts(levels)
-]
+LEVELS_AND_ROWS = [(levels, rows) for levels in range(1, 8) for rows in cases.row_counts(levels)]
 
 
 def coefficients(samples: NDArray[np.floating], device: Device) -> NDArray[np.floating]:

@@ -32,7 +32,7 @@ def file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 def test_without_a_measurement_the_class_of_the_device_decides(
     device: Device, tunable: Tunable, file: Path
 ) -> None:
-    assert tunable.of(device) == (tunable.cpu if device.is_cpu else tunable.gpu)
+    assert tunable.of(device) == (tunable.cpu if device.takes_vectors else tunable.gpu)
     assert tuning.KNOWN["test"] is tunable
 
 
@@ -45,7 +45,7 @@ def test_a_measurement_is_kept_for_its_device_alone(device: Device, tunable: Tun
     assert list(data) == [tuning.key_of(device)]
     file.write_text(json.dumps({"another device": data[tuning.key_of(device)]}))
     tuning._entries.cache_clear()
-    assert tunable.of(device) == (tunable.cpu if device.is_cpu else tunable.gpu)
+    assert tunable.of(device) == (tunable.cpu if device.takes_vectors else tunable.gpu)
 
 
 def test_a_form_that_is_no_more_is_passed_over(device: Device, tunable: Tunable, file: Path) -> None:

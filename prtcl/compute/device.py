@@ -115,6 +115,14 @@ class Device:
         return str(self.handle.platform.name.strip())
 
     @property
+    def takes_vectors(self) -> bool:
+        """Whether kernels written in vectors of sixteen suit it: a CPU's compiler keeps them.
+
+        Mesa's rusticl takes them apart again, and minutes over each.
+        """
+        return self.is_cpu and self.platform != "rusticl"
+
+    @property
     def memory(self) -> int:
         """Bytes of global memory."""
         return int(self.handle.global_mem_size)

@@ -42,7 +42,7 @@ class Tunable:
     ----------
     name : as the tuning file has it
     forms : all that may be chosen
-    cpu, gpu : of `forms`, by the class of the device
+    cpu, gpu : of `forms`, by the class of the device (`Device.takes_vectors`)
     """
 
     name: str
@@ -67,7 +67,7 @@ class Tunable:
         measured = _entries(_path()).get(key_of(device), {}).get(self.name)
         if measured in self.forms:
             return measured
-        return self.cpu if device.is_cpu else self.gpu
+        return self.cpu if device.takes_vectors else self.gpu
 
     @contextmanager
     def trial(self, form: Form) -> Iterator[None]:
