@@ -87,7 +87,8 @@ void shade_cut(const global int *restrict ints, const global REAL *restrict real
 
     // Rows lie so far apart that nothing foresees the next one: its coarse squares are fetched, and the finer ones at
     // which this point looks and the next most often does, too. A CPU waits three times as long without.
-    const global uint *next = sums + (size_t)chosen[min(item + 1, get_num_groups(1) - 1)] * N_NODES;
+    const size_t last_item = get_global_offset(1) + get_global_size(1) - 1;
+    const global uint *next = sums + (size_t)chosen[min(item + 1, last_item)] * N_NODES;
     for (int i = LINE * lane; i < COARSE; i += LINE * GROUP)
         prefetch(next + i, 1);
 

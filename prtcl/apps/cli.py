@@ -132,7 +132,7 @@ def parser() -> Parser:
         "--exposure", type=float, default=0.0, metavar="STOPS", help="of the preview (default: 0)"
     )
     _scene(render)
-    _device(render)
+    _device(render, several=True)
     _common(render)
     render.set_defaults(run=_render)
 
@@ -267,11 +267,13 @@ def _gibibytes(text: str) -> float:
     return value
 
 
-def _device(command: argparse.ArgumentParser) -> None:
+def _device(command: argparse.ArgumentParser, several: bool = False) -> None:
+    more = "; given again, the devices share the work" if several else ""
     command.add_argument(
         "--device",
         metavar="SPEC",
-        help="platform or platform:device, by index or part of the name (or PRTCL_DEVICE)",
+        action="append" if several else "store",
+        help=f"platform or platform:device, by index or part of the name (or PRTCL_DEVICE){more}",
     )
 
 

@@ -34,12 +34,12 @@ def run(options: argparse.Namespace) -> int:
             f"--points pixel: {options.mesh} holds the rays of vertices, not of pixels; render the mesh it was made of"
         )
     mesh = read_bake(options.mesh, options.rays, options.smooth) if is_bake(options.mesh) else options.mesh
-    device = Device(options.device, precision=options.precision)
+    devices = [Device(spec, precision=options.precision) for spec in options.device or [None]]
     environment, notes = read_environment(
         options.env, rotate=options.env_rotate, up=options.env_up, repair=options.repair
     )
     scene = Scene(
-        mesh, environment, options.brdf, device=device, two_sided=not options.one_sided,
+        mesh, environment, options.brdf, device=devices, two_sided=not options.one_sided,
         smooth=options.smooth, levels=options.levels, rays=options.rays, keep=options.keep, views=options.views,
         method=options.method, hard=options.hard_light, visibility=options.visibility,
     )  # fmt: skip

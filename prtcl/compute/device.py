@@ -27,6 +27,8 @@ PRECISIONS = {
 }
 """Precision: (type stored, type of sums and products, NumPy dtype stored)."""
 
+_BUILDING = threading.Lock()
+
 MAX_ROWS = 65_535
 """Rows of work-items one launch may have: CUDA's limit on a grid's second dimension, which OpenCL on it inherits."""
 
@@ -123,6 +125,21 @@ class Device:
         return self.is_cpu and self.platform != "rusticl"
 
     @property
+    def beside_host(self) -> bool:
+        """Whether it computes while the host does something else; a CPU's kernels take the host's own cores."""
+        return not self.is_cpu
+
+    @property
+    def compute_units(self) -> int:
+        """Cores of a CPU, multiprocessors of a GPU."""
+        return int(self.handle.max_compute_units)
+
+    @property
+    def clock(self) -> int:
+        """The largest clock frequency in MHz, 0 where the device does not say."""
+        return int(self.handle.max_clock_frequency)
+
+    @property
     def memory(self) -> int:
         """Bytes of global memory."""
         return int(self.handle.global_mem_size)
@@ -137,6 +154,25 @@ class Device:
         import pyopencl.array as cla
 
         return cla.empty(self.queue, shape, dtype or self.dtype, allocator=self._pool)
+
+    def fetch(self, array: Any) -> Callable[[], npt.NDArray[Any]]:
+        """Begin to copy a device array to the host, behind what is queued; the result, called, waits and returns it.
+
+        Work queued in between runs on while the copy is waited for. The device array must not be written to before.
+        """
+        import pyopencl as cl
+
+        host = np.empty(array.shape, dtype=array.dtype)
+        if not array.size:
+            return lambda: host
+        event = cl.enqueue_copy(self.queue, host, array.base_data, src_offset=array.offset, is_blocking=False)
+        self.queue.flush()
+
+        def wait(_kept: Any = array) -> npt.NDArray[Any]:
+            event.wait()
+            return host
+
+        return wait
 
     def array(self, value: Any, dtype: npt.DTypeLike | None = None, *, name: str = "array") -> Any:
         """`value` as a C-contiguous device array of `dtype`; a device array of this context passes unchanged.
@@ -209,7 +245,8 @@ class Device:
 
         source = expand(file)
         try:
-            with warnings.catch_warnings():
+            # Warnings are filtered, and pyopencl keeps builds on disk, for the whole process.
+            with _BUILDING, warnings.catch_warnings():
                 # Several drivers fill the log of every good build; a bad one raises below.
                 warnings.simplefilter("ignore", cl.CompilerWarning)
                 program = cl.Program(self.context, source).build(

@@ -23,22 +23,18 @@ from prtcl.scene.camera import Camera
 from prtcl.scene.film import FIRST, FIRST_HARD, Film
 from prtcl.scene.mesh import Mesh
 from prtcl.scene.points import check_eye, shoot
+from prtcl.scene.report import covered, render_report
 from prtcl.scene.shaders import Counter, Layer, Notify, PixelShader, VertexShader
 from prtcl.scene.tint import Tints, colour_notes
 from prtcl.transport.pipeline import Pipelines, Points
 from prtcl.transport.settings import Settings, choose
+from prtcl.transport.several import Several
 
 BATCH = 1 << 17
 """Sub-pixel points in flight: bounds the host's memory whatever the image's size."""
 MOST, MOST_HARD = 1024, 4096
 """Points that an adaptive pixel may end with: 32 × 32 of soft light; 64 × 64 of hard light, whose glints on facets
 smaller than a pixel vary most, and whose points cost least."""
-
-PER_POINT = (
-    "visibility_rays", "hard_light_rays", "environment_gather", "light_times_visibility", "haar_forward",
-    "visibility_coefficients", "parent_sums", "triple_accumulate", "reduce_pair", "inner_product", "shade_lights",
-)  # fmt: skip
-"""Stages whose work is proportional to the points."""
 
 Path = str | os.PathLike[str]
 Report = dict[str, Any]
@@ -97,7 +93,7 @@ class Scene:
     material : a SPEC (`prtcl.factors.material.FORMS`) or a `Material`; a list of one for each part of the mesh;
         or None for the mesh's own glTF materials and colours (lambert of albedo 0.5 where it has neither)
     camera : None frames the mesh
-    device : None chooses one
+    device : None chooses one; of a list, all share the work (`prtcl.transport.several`)
     two_sided : seen from behind, a surface's normal is turned to the viewer
     smooth : replace normals by vertex normals averaged over the faces
     **settings : `Settings` fixed by hand: levels, rays, keep, views, method, hard, visibility,
@@ -115,7 +111,7 @@ class Scene:
         material: str | Material | Sequence[str | Material] | None = None,
         camera: Camera | None = None,
         *,
-        device: Device | None = None,
+        device: Device | Sequence[Device] | None = None,
         two_sided: bool = True,
         smooth: bool = False,
         **settings: float | str | None,
@@ -139,7 +135,10 @@ class Scene:
         self.notes += colour_notes(self.materials, self.mesh)
         self.tints = Tints(self.materials, self.mesh)
         self.camera = camera or Camera.framing(self.mesh.bounds)
-        self.device = device or Device()
+        self.devices = [device or Device()] if device is None or isinstance(device, Device) else list(device)
+        if not self.devices:
+            raise InputError("device: expected a Device or several, got an empty list")
+        self.device = self.devices[0]
         self.two_sided = two_sided
         self._by_hand = settings
         self.settings = self.choose_settings(vertex=self.bake is not None)
@@ -178,18 +177,23 @@ class Scene:
         if samples is not None and not 1 <= samples <= 64:
             raise InputError(f"samples: expected 1 to 64 points along a pixel's side, got {samples}")
         start = time.perf_counter()
-        self.device.profile.reset()
+        for device in self.devices:
+            device.profile.reset()
         check_eye(self.tracer, self.mesh, self.camera)
         vertex = points == "vertex" or self.bake is not None
         rays = self.tracer.rays
         self.settings = self.choose_settings(vertex)
-        pipeline = Pipelines(
-            self.device,
-            self.environment,
-            self.tints.materials,
-            [self.settings[parent][0] for parent in self.tints.parent],
-            polar=self.bake is None,
-        )
+        pipelines = [
+            Pipelines(
+                device,
+                self.environment,
+                self.tints.materials,
+                [self.settings[parent][0] for parent in self.tints.parent],
+                polar=self.bake is None,
+            )
+            for device in self.devices
+        ]
+        pipeline: Pipelines | Several = pipelines[0] if len(pipelines) == 1 else Several(pipelines)
         count = Counter(progress)
         layers = self._layers(pipeline, count, vertex)
         everything = np.arange(self.camera.size[0] * self.camera.size[1])
@@ -199,14 +203,14 @@ class Scene:
             self._refine(layers)
             self._complete(layers)
         rays = self.tracer.rays - rays
-        report = self._report(pipeline, layers, count, vertex, rays, time.perf_counter() - start)
+        report = render_report(self, pipeline, layers, count, vertex, rays, time.perf_counter() - start)
         return Render(self._develop(layers), report)
 
     def _repr_png_(self) -> bytes:
         """What a notebook shows: the image at 2 × 2 points a pixel."""
         return self.render(samples=2)._repr_png_()
 
-    def _layers(self, pipeline: Pipelines, count: Counter, vertex: bool) -> list[Layer]:
+    def _layers(self, pipeline: Pipelines | Several, count: Counter, vertex: bool) -> list[Layer]:
         """What is sampled on its own, and up to how many points a pixel.
 
         Soft light costs a hemisphere of rays a point and varies slowly; hard light costs a few rays and brings
@@ -230,12 +234,10 @@ class Scene:
                 return
             # The whole image's mean and the number of its pixels turn a relative error into a sum of squares.
             mean = np.sum([layer.film.mean().mean(axis=1) for layer in layers], axis=0)
-            covered = self._covered(layers)
+            seen = covered(layers)
             # One number for the whole image: sharp highlights, where there are any, make most of its error.
             error = max(own.pixel_error for own, _ in self.settings)
-            allowed = (
-                (error * mean[covered].mean()) ** 2 * covered.sum() / len(layers) if covered.any() else 0
-            )
+            allowed = (error * mean[seen].mean()) ** 2 * seen.sum() / len(layers) if seen.any() else 0
             for layer in active:
                 pixels = layer.film.worst(allowed)
                 # A pixel that waited a round or more catches up round by round.
@@ -264,10 +266,6 @@ class Scene:
         most = np.argmax([layer.film.points for layer in layers], axis=0)
         return np.stack([layer.film.coverage() for layer in layers])[most, np.arange(len(most))]
 
-    @staticmethod
-    def _covered(layers: list[Layer]) -> npt.NDArray[np.bool_]:
-        return np.any([layer.film.coverage() > 0 for layer in layers], axis=0)
-
     def _develop(self, layers: list[Layer]) -> npt.NDArray[np.float32]:
         """The layers' sum, with the coverage that most points saw.
 
@@ -294,58 +292,6 @@ class Scene:
             with self.device.profile.host("camera_rays"):
                 hits = shoot(self.tracer, self.camera, pixel, sub)
             layer.film.add(some, first, last, hits.ray, layer.shader(hits, sub[hits.ray]))
-
-    def _report(
-        self,
-        pipeline: Pipelines,
-        layers: list[Layer],
-        count: Counter,
-        vertex: bool,
-        rays: int,
-        seconds: float,
-    ) -> Report:
-        device = pipeline.device
-        stages = {**device.profile.device_seconds(), **device.profile.host_seconds()}
-        covered = self._covered(layers)
-        mean = np.sum([layer.film.mean().mean(axis=1) for layer in layers], axis=0)
-        variance = np.sum([layer.film.variance() for layer in layers], axis=0)
-        error = np.sqrt(variance[covered].mean()) / mean[covered].mean() if mean.sum() > 0 else 0.0
-        shaded = count.by_stage
-        # Which layer's points a stage works on: each point goes through one pipeline, so all pipelines' are its sum.
-        hard_stages = ("hard_light_rays", "shade_lights")
-        main = shaded.get("vertex", shaded.get("soft", 0))
-        return {
-            "device": device.name,
-            "device_reason": device.reason,
-            "precision": device.precision,
-            "mesh": {
-                "name": self.mesh.name,
-                "vertices": len(self.mesh.vertices),
-                "faces": len(self.mesh.faces),
-            },
-            "materials": [m.spec for m in self.materials],
-            "settings": [{**vars(own), "why": reason} for own, reason in dict(self.settings).items()],
-            "light": {
-                "hard_samples": len(pipeline.light.hard),
-                "hard_share": round(pipeline.light.hard_share, 4),
-                "channels": max(own.channels for own in pipeline.all),
-            },
-            "points": "vertex" if vertex else "pixel",
-            "points_shaded": shaded,
-            "rays": rays,
-            "points_per_pixel": [
-                float(l.film.points[covered].mean()) if covered.any() else 0.0 for l in layers
-            ],
-            "pixel_error_estimate": float(error),
-            "seconds": {"total": seconds, **{k: round(v, 4) for k, v in stages.items()}},
-            "points_per_second": {
-                k: round((shaded.get("hard", main) if k in hard_stages else main) / v)
-                for k, v in stages.items()
-                if v > 0 and k in PER_POINT
-            },
-            "bytes_per_point": device.profile.bytes_per_point(),
-            "notes": self.notes,
-        }
 
     def single_material(self, points: Points) -> Points:
         """The points as they are, or all of the one material that replaces the mesh's own."""

@@ -13,6 +13,7 @@ from prtcl.scene.film import Film
 from prtcl.scene.points import Hits, pixel_points, vertex_points, with_eye
 from prtcl.scene.tint import Rows
 from prtcl.transport.pipeline import Pipelines, Points
+from prtcl.transport.several import Several
 
 if TYPE_CHECKING:
     from prtcl.scene.scene import Scene
@@ -79,7 +80,7 @@ class PixelShader:
 class VertexShader:
     """Radiance at vertices, interpolated over the faces the pixels see; each vertex is shaded once."""
 
-    def __init__(self, scene: Scene, pipeline: Pipelines, count: Counter) -> None:
+    def __init__(self, scene: Scene, pipeline: Pipelines | Several, count: Counter) -> None:
         self.scene, self.pipeline, self.count = scene, pipeline, count
         self._radiance = np.zeros((len(scene.mesh.vertices), 3))
         self._known = np.zeros(len(scene.mesh.vertices), dtype=np.bool_)

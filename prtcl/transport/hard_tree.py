@@ -26,7 +26,8 @@ RUN, NEAR = 8, 0.1
 """Samples of a run at most, and its extent in rad: three of them are traced, and all where these differ.
 
 By bench/hard_runs.py that takes two thirds of the rays and moves the irradiance of an environment's peaks by 0.03 to
-0.27 % (relative RMSE), 7 % of the mean at the worst of 48,000 vertices; runs of 32 take a half, 0.13 to 0.48 % and 12 %.
+0.27 % (relative RMSE), 7 % of the mean at the worst of 48,000 vertices; runs of 32 take a half of the rays, and err by
+0.13 to 0.48 % and 12 %.
 """
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int32]

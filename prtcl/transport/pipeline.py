@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -133,6 +133,7 @@ class Pipeline:
         out = np.empty((len(points), 3), dtype=self.device.dtype)
         nodes, weight = self.table.locate(points.views)
         keys = self.slices.keys(points.material, nodes)
+        fetched: tuple[npt.NDArray[np.int64], Callable[[], Any]] | None = None
         for part in self.slices.parts(keys, size):
             some = points[part]
             seen = self.visibility(tracer, some, progress) if bits is None else bits[part]
@@ -143,9 +144,17 @@ class Pipeline:
             radiance = shade.soft_radiance(
                 self.device, reduced, slices, index, weight[part], self.settings.levels
             )
-            out[part] = self._fetch(radiance)
+            # A part's radiance is waited for when the next part's rays are traced: a GPU computes in between.
+            if fetched is not None:
+                self._finish(*fetched, out)
+            fetched = part, self.device.fetch(radiance)
+            if not self.device.beside_host:
+                self._finish(*fetched, out)
+                fetched = None
             if bits is not None and progress is not None:
                 progress(len(some))
+        if fetched is not None:
+            self._finish(*fetched, out)
         return out
 
     def hard(
@@ -172,7 +181,7 @@ class Pipeline:
                 some.views,
                 radiance,
             )
-            out[part] = self._fetch(radiance)
+            self._finish(part, self.device.fetch(radiance), out)
         return out
 
     def radiance(
@@ -182,9 +191,12 @@ class Pipeline:
         """Outgoing radiance of every point, soft and hard light together: (n, 3), linear RGB."""
         return np.asarray(self.soft(tracer, points, bits, progress) + self.hard(tracer, points))
 
-    def _fetch(self, radiance: Any) -> npt.NDArray[np.floating]:
+    def _finish(
+        self, part: slice | npt.NDArray[np.int64], wait: Callable[[], Any], out: npt.NDArray[np.floating]
+    ) -> None:
+        """Wait for a part's radiance, and put it where it belongs."""
         with self.device.profile.host("wait_for_device"):
-            return np.asarray(radiance.get()[:, :3] * self.unit)
+            out[part] = wait()[:, :3] * self.unit
 
 
 def _unit(environment: Environment) -> float:
