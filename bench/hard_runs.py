@@ -49,7 +49,9 @@ def main() -> None:
                 wanted = None
                 for size in (1, *SIZES):
                     runs, rays, start = tree.runs(size), tracer.rays, time.perf_counter()
-                    bits = tracer.light_visibility(points.origins, points.frames[:, 2], samples[:, :3], runs=runs)
+                    bits = tracer.light_visibility(
+                        points.origins, points.frames[:, 2], samples[:, :3], runs=runs
+                    )
                     seconds, rays = time.perf_counter() - start, tracer.rays - rays
                     irradiance = (seen(bits, len(samples)) * energy).sum(axis=1)
                     if wanted is None:
