@@ -315,7 +315,8 @@ def brdf(material: dict[str, object], incident: Array, outgoing: Array) -> Array
     ----------
     material : ``{"kind": "lambert", "albedo"}``, ``{"kind": "ggx", "alpha", "eta", "k"}`` or ``"f0"`` in place
         of the index, optionally ``"kd"``; ``{"kind": "blinn", "exponent", "ks", "kd"}``;
-        ``{"kind": "table", "values", "theta_h", "theta_d"}``
+        ``{"kind": "table", "values", "theta_h", "theta_d"}``;
+        ``{"kind": "measured", "values", "valid", "theta_h", "theta_d"}``, see `_measured`
     incident, outgoing : (..., 3), broadcast against each other
 
     Returns
@@ -348,6 +349,8 @@ def brdf(material: dict[str, object], incident: Array, outgoing: Array) -> Array
         f = f + (np.asarray(material.get("kd", 0.0)) * grey) / np.pi
     elif kind == "table":
         f = _table(material, np.arccos(cos_h), np.arccos(cos_d))
+    elif kind == "measured":
+        f = _measured(material, incident, outgoing)
     else:
         raise ValueError(f"material: unknown kind {kind!r}")
     return np.asarray(np.where(above[..., None], f, 0.0))
@@ -356,20 +359,62 @@ def brdf(material: dict[str, object], incident: Array, outgoing: Array) -> Array
 def _table(material: dict[str, object], theta_h: Array, theta_d: Array) -> Array:
     """Bilinear between the nodes of values[nh, nd, 3], clamped outside."""
     values = np.asarray(material["values"], dtype=np.float64)
-    corners = []
-    for nodes, angle in ((material["theta_h"], theta_h), (material["theta_d"], theta_d)):
-        nodes = np.asarray(nodes, dtype=np.float64)
-        if nodes.size == 1:
-            zero = np.zeros(angle.shape, dtype=np.int64)
-            corners.append(((zero, np.ones(angle.shape)), (zero, np.zeros(angle.shape))))
-            continue
-        at = np.clip(angle, nodes[0], nodes[-1])
-        low = np.clip(np.searchsorted(nodes, at, side="right") - 1, 0, nodes.size - 2)
-        weight = (at - nodes[low]) / (nodes[low + 1] - nodes[low])
-        corners.append(((low, 1.0 - weight), (low + 1, weight)))
+    nodes = (np.asarray(material[key], dtype=np.float64) for key in ("theta_h", "theta_d"))
+    corners = [_between(own, angle) for own, angle in zip(nodes, (theta_h, theta_d), strict=True)]
     return np.asarray(
         sum(values[i, j] * (wi * wj)[..., None] for (i, wi), (j, wj) in product(corners[0], corners[1]))
     )
+
+
+def difference_angles(incident: Array, outgoing: Array) -> tuple[Array, Array, Array]:
+    """θ_h, θ_d and φ_d as Rusinkiewicz (1998) defines them: d is i turned by −φ_h about z, then by −θ_h about y."""
+    incident, outgoing = (d / np.linalg.norm(d, axis=-1, keepdims=True) for d in (incident, outgoing))
+    half = incident + outgoing
+    half = half / np.maximum(np.linalg.norm(half, axis=-1, keepdims=True), 1e-300)
+    phi_h = np.arctan2(half[..., 1], half[..., 0])
+    theta_h = np.arctan2(np.hypot(half[..., 0], half[..., 1]), half[..., 2])
+    x = incident[..., 0] * np.cos(phi_h) + incident[..., 1] * np.sin(phi_h)
+    y = incident[..., 1] * np.cos(phi_h) - incident[..., 0] * np.sin(phi_h)
+    x, z = (
+        x * np.cos(theta_h) - incident[..., 2] * np.sin(theta_h),
+        x * np.sin(theta_h) + incident[..., 2] * np.cos(theta_h),
+    )
+    return theta_h, np.arctan2(np.hypot(x, y), z), np.arctan2(y, x)
+
+
+def _measured(material: dict[str, object], incident: Array, outgoing: Array) -> Array:
+    """Trilinear in (√θ_h, θ_d, φ_d) between samples values[nh, nd, np, 3], φ_d of sample k at (k + ½) π/np.
+
+    Clamped in the thetas, periodic in φ_d. Of the eight samples about a pair of directions an invalid one counts 2⁻²⁰
+    of a valid one.
+    """
+    values, valid = (np.asarray(material[key], dtype=np.float64) for key in ("values", "valid"))
+    share, count = np.where(valid > 0, 1.0, 2.0**-20), values.shape[2]
+    theta_h, theta_d, phi_d = difference_angles(incident, outgoing)
+    roots = np.sqrt(np.asarray(material["theta_h"], dtype=np.float64))
+    corners = [
+        _between(roots, np.sqrt(theta_h)),
+        _between(np.asarray(material["theta_d"], np.float64), theta_d),
+    ]
+    place = phi_d * count / np.pi - 0.5
+    low = np.floor(place).astype(np.int64)
+    turns = ((low % count, 1.0 - (place - low)), ((low + 1) % count, place - low))
+    above, below = np.zeros((*phi_d.shape, 3)), np.zeros(phi_d.shape)
+    for (i, wi), (j, wj), (k, wk) in product(*corners, turns):
+        own = wi * wj * wk * share[i, j, k]
+        above, below = above + own[..., None] * values[i, j, k], below + own
+    return np.asarray(above / below[..., None])
+
+
+def _between(nodes: Array, at: Array) -> tuple[tuple[npt.NDArray[np.int64], Array], ...]:
+    """The two nodes about each place and their weights, clamped outside the nodes."""
+    if nodes.size == 1:
+        zero = np.zeros(at.shape, dtype=np.int64)
+        return (zero, np.ones(at.shape)), (zero, np.zeros(at.shape))
+    at = np.clip(at, nodes[0], nodes[-1])
+    low = np.clip(np.searchsorted(nodes, at, side="right") - 1, 0, nodes.size - 2)
+    weight = (at - nodes[low]) / (nodes[low + 1] - nodes[low])
+    return (low, 1.0 - weight), (low + 1, weight)
 
 
 def slice_samples(

@@ -23,6 +23,7 @@ from prtcl.compute.source import kernel_folder
 from prtcl.factors import environment, hemisphere
 from prtcl.factors.environment import Environment, Light
 from prtcl.factors.material import Material, from_table
+from prtcl.factors.measured import Measured
 from prtcl.factors.slices import Materials
 from prtcl.transport import collapse, cut, shade
 from prtcl.transport.hard_tree import HardSums
@@ -191,7 +192,10 @@ def all_materials() -> list[Material]:
     )
     values = np.random.default_rng(6).uniform(0.1, 1, (7, 5, 3))
     table = from_table(values, np.linspace(0.0, 1.5, 7), np.linspace(0.1, 1.4, 5))
-    return [*map(Material.parse, specs), table]
+    rng = np.random.default_rng(7)
+    nodes, valid = np.linspace(0.1, 1.5, 4), rng.random((4, 4, 5)) > 0.1
+    measured = Measured.make(rng.uniform(0.1, 1, (4, 4, 5, 3)), nodes, nodes, valid)
+    return [*map(Material.parse, specs), table, measured.material()]
 
 
 def directions(count: int) -> NDArray[np.float64]:

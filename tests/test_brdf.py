@@ -18,6 +18,7 @@ from prtcl.compute.device import Device
 from prtcl.errors import DeviceError, InputError
 from prtcl.factors import hemisphere, material
 from prtcl.factors.material import Material
+from prtcl.factors.measured import Measured
 from prtcl.factors.slices import BLOCK, Materials, ViewTable, block_directions, subsamples
 from prtcl.factors.stored import SliceStore
 
@@ -28,6 +29,18 @@ TABLE = material.from_table(
 )
 ROW = material.from_table(np.random.default_rng(7).uniform(0.1, 1, (1, 4)), [0.3], np.linspace(0, 1.5, 4))
 COLUMN = material.from_table(np.random.default_rng(8).uniform(0.1, 1, (4, 1)), np.linspace(0, 1.5, 4), [0.3])
+
+
+def three_angles(gaps: bool) -> Measured:
+    """A small table of three angles; with gaps a third of its samples are missing."""
+    rng = np.random.default_rng(9)
+    h, d = np.linspace(0.1, 1.2, 6) ** 2, np.linspace(0.05, 1.5, 5)
+    valid = rng.random((6, 5, 7)) > (1 / 3 if gaps else 0)
+    return Measured.make(rng.uniform(0.1, 1, (6, 5, 7, 3)), h, d, valid)
+
+
+MEASURED = {name: three_angles(name == "gaps") for name in ("whole", "gaps")}
+MEASURED_MATERIALS = [m.material(name) for name, m in MEASURED.items()]
 
 SPECS = [
     "lambert:albedo=0.8/0.2/0.1",
@@ -42,8 +55,8 @@ SPECS = [
     "blinn:exponent=200,ks=0.5/0.4/0.3,kd=0.1",
     "blinn:exponent=100000,ks=1",
 ]
-MATERIALS = [*map(Material.parse, SPECS), TABLE, ROW, COLUMN]
-NAMES = [*SPECS, "table", "table of one theta_h", "table of one theta_d"]
+MATERIALS = [*map(Material.parse, SPECS), TABLE, ROW, COLUMN, *MEASURED_MATERIALS]
+NAMES = [*SPECS, "table", "table of one theta_h", "table of one theta_d", "measured", "measured with gaps"]
 
 
 def sphere(z: NDArray[np.float64], phi: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -67,6 +80,12 @@ def direction_pairs(where: str, count: int = 997) -> tuple[NDArray[np.float64], 
 
 def bound_of(m: Material, i: NDArray[np.float64], o: NDArray[np.float64], u: float) -> NDArray[np.float64]:
     """`tolerances.brdf` for the device, and what the float64 reference itself loses."""
+    if m.kind == "measured":
+        own = MEASURED[m.spec]
+        h, d, turn = reference.difference_angles(*np.broadcast_arrays(i, o))
+        share = own.weighted(h, d, turn)[..., 3]
+        bound = tolerances.measured_lookup(own.values, own.theta_h, own.theta_d, u, (h, d), share)
+        return bound[:, None]
     if m.table is not None:
         _, cos_d = reference.half_angles(i, o)
         return tolerances.table_lookup(**m.table, u=u, cos_d=cos_d)[:, None]
@@ -137,7 +156,7 @@ def test_mirror_peak_of_the_sharpest_lobe(device: Device) -> None:
 # --- slices -------------------------------------------------------------------------------------------------
 
 
-COLOURED = [MATERIALS[0], MATERIALS[1], MATERIALS[5], MATERIALS[9], TABLE]
+COLOURED = [MATERIALS[0], MATERIALS[1], MATERIALS[5], MATERIALS[9], TABLE, MEASURED_MATERIALS[0]]
 GREY = [MATERIALS[2]]
 
 
@@ -422,6 +441,12 @@ def test_one_node_is_refused() -> None:
         ("blinn:exponent=-1,ks=0.5", "exponent expected from 0 to 100000"),
         ("table:", "expected table:FILE.npz"),
         ("table:/no/such.npz", "/no/such.npz: no such file"),
+        ("merl:", "expected merl:FILE.binary[,angles=2]"),
+        ("rgl:,angles=2", "expected rgl:FILE.bsdf[,angles=2]"),
+        ("utia:", "expected utia:FILE.bin[,angles=2]"),
+        ("merl:a.binary,angles=4", "angles expected 2 or 3, got 4"),
+        ("merl:/no/such.binary,angles=2", "/no/such.binary: no such file"),
+        ("merl:/no/such.npz", "/no/such.npz: no such file"),
     ],
 )
 def test_bad_specs_say_what_is_wrong(spec: str, message: str) -> None:

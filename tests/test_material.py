@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from prtcl import reference
 from prtcl.errors import InputError
 from prtcl.factors.material import FORMS, KINDS, Material, from_table, pack
+from prtcl.factors.measured import Measured
 
 Array = NDArray[np.float64]
 
@@ -106,10 +107,13 @@ def test_the_mesh_is_no_number_elsewhere(spec: str) -> None:
 
 def test_the_forms_of_the_help_text_are_read() -> None:
     forms = [re.sub(r"\[(.*?)\]", r"\1", form.strip()) for form in FORMS.split("|")]
-    assert len(forms) == 6
+    assert len(forms) == 9
     for form in forms:
-        if not form.startswith("table:"):
+        if "FILE" not in form:
             assert Material.parse(form).spec == form
+            continue
+        with pytest.raises(InputError, match=r"FILE\.\w+: no such file"):
+            Material.parse(form)
 
 
 @pytest.mark.parametrize(
@@ -386,6 +390,30 @@ def test_the_spec_of_a_gltf_material_reads_as_the_same_material() -> None:
     assert again.kind == made.kind
     for name, value in made.numbers.items():
         assert again.numbers[name] == pytest.approx(value, rel=5e-4)
+
+
+def test_packing_keeps_measured_tables_among_others() -> None:
+    """Nodes, then m·f and m of every sample, at the offset that the row says."""
+    rng = np.random.default_rng(4)
+    valid = rng.random((5, 4, 6)) > 0.2
+    h, d = np.linspace(0.1, 1.5, 5), np.linspace(0.2, 1.4, 4)
+    own = Measured.make(rng.random((5, 4, 6, 3)), h, d, valid)
+    list_ = [from_table(values(), THETA_H, THETA_D), own.material(), from_table(values(1), THETA_H, THETA_D)]
+    ints, reals, tables = pack(list_)
+    assert [KINDS[i] for i in ints[:, 0]] == ["table", "measured", "table"]
+    _, offset, nh, nd = ints[1]
+    assert (nh, nd, reals[1, 3]) == (5, 4, 6) and offset == 5 + 4 + 60
+    assert (tables[offset : offset + nh] == np.sqrt(h)).all()
+    assert (tables[offset + nh : offset + nh + nd] == d).all()
+    at = offset + nh + nd
+    entries = tables[at : at + 4 * nh * nd * 6].reshape(nh, nd, 6, 4)
+    weight = np.where(valid, 1.0, 2.0**-20)
+    assert (entries[..., 3] == weight).all()
+    assert (entries[..., :3] == own.values * weight[..., None]).all()
+    assert ints[2, 1] == at + entries.size
+    assert tables.size == ints[2, 1] + 5 + 4 + 60
+    again = pack(list_)
+    assert all((a == b).all() for a, b in zip(again, (ints, reals, tables), strict=True))
 
 
 def test_packing_keeps_the_numbers_and_the_tables() -> None:

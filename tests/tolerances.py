@@ -231,3 +231,39 @@ def table_lookup(
             slope = float(np.abs(np.diff(table, axis=axis) / steps).max())
             out = out + slope * (angle + lengths * (axis == 1))
     return out
+
+
+def measured_lookup(
+    values: npt.ArrayLike,
+    theta_h: npt.ArrayLike,
+    theta_d: npt.ArrayLike,
+    u: float,
+    at: tuple[Array, Array],
+    share: npt.ArrayLike,
+) -> Array:
+    """|error| of a three-angle table's interpolation, for each pair: what weights may move by, times f's range.
+
+    Parameters
+    ----------
+    at : θ_h and θ_d of the pairs
+    share : Σ w m, the part of the weights that is on measured samples; f divides by it
+
+    On the device |i + o| and |i − o| are good to 6 u and atan2 to 6 ulp = 12 u, so θ_h and θ_d have a relative error
+    of 24 u, √θ_h half of it and 6 u of its own root. The turn's two components are off by 10 u of their length, so
+    φ_d by 10 u + 12 u π: 50 u. In the device's precision directions can be made unit vectors to 2 u only, so
+    i − o and i + o are not quite at right angles: (|i|² − |o|²)/|i + o|, up to 4 u/cos θ_d, of i − o lies along the
+    half vector. It moves θ_d by as much, and φ_d by that over i − o's part across the normal, 2 sin θ_h sin θ_d. A
+    weight's change of ε changes f by no more than ε times its range. Nodes are rounded when stored, u π/2, as are the
+    numbers: 12 u of the largest with the products and the sum.
+    """
+    table = np.asarray(values, dtype=np.float64)
+    h, d = at
+    roots, nodes = np.sqrt(np.asarray(theta_h, dtype=np.float64)), np.asarray(theta_d, dtype=np.float64)
+    steps = [float(np.diff(n).min()) if n.size > 1 else np.inf for n in (roots, nodes)]
+    along = 4 * u / np.maximum(np.cos(d), 1e-300)
+    place_h, place_d = 20 * u * np.sqrt(np.pi / 2), 24 * u * np.pi / 2 + along
+    across = np.maximum(2 * np.sin(h) * np.sin(d), 1e-300)
+    turn = (50 * u + along / across) * table.shape[2] / np.pi
+    spread = float(table.max() - table.min())
+    moved = place_h / steps[0] + np.minimum(1.0, place_d / steps[1]) + np.minimum(1.0, turn)
+    return (spread * moved + 12 * u * float(table.max())) / np.asarray(share)

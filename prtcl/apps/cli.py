@@ -1,4 +1,4 @@
-"""The command line: `prtcl demo | render | bake | view | bench | devices`.
+"""The command line: `prtcl demo | render | bake | view | brdf | bench | devices`.
 
 Exit status: 0 done, 1 the job failed, 2 the input or the command line was wrong. An error is one or two lines that
 name the file or the option and say what to do.
@@ -147,6 +147,7 @@ def parser() -> Parser:
     bake.set_defaults(run=_bake)
 
     _view_parser(commands)
+    _brdf_parser(commands)
     _bench_parser(commands)
 
     devices = commands.add_parser("devices", help="what OpenCL sees, which is used, why")
@@ -200,6 +201,27 @@ def _view_parser(commands: Any) -> None:
     view.add_argument("--quiet", action="store_true", help="no progress bar, no address")
     _device(view)
     view.set_defaults(run=_view)
+
+
+def _brdf_parser(commands: Any) -> None:
+    brdf = commands.add_parser(
+        "brdf", help="what a material is like: albedo, extent, errors, plots; converts files"
+    )
+    brdf.add_argument(
+        "material",
+        metavar="FILE|SPEC",
+        help="a measured BRDF (.binary, .bsdf, .bin), a table (.npz), or a --brdf SPEC",
+    )
+    brdf.add_argument("-o", "--output", metavar="DIR", help="plots, which take matplotlib (default: none)")
+    brdf.add_argument(
+        "--write",
+        metavar="FILE",
+        help="convert: two angles to a table (.npz), three angles to MERL's layout (.binary)",
+    )
+    _device(brdf)
+    brdf.add_argument("--quiet", action="store_true", help="no summary")
+    brdf.add_argument("--json", action="store_true", help="the summary as JSON on standard output")
+    brdf.set_defaults(run=_brdf)
 
 
 def _bench_parser(commands: Any) -> None:
@@ -365,6 +387,10 @@ def _bake(options: argparse.Namespace) -> int:
 
 def _view(options: argparse.Namespace) -> int:
     return _command("view.command")(options)
+
+
+def _brdf(options: argparse.Namespace) -> int:
+    return _command("brdf", ())(options)
 
 
 def _bench(options: argparse.Namespace) -> int:

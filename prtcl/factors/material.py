@@ -6,23 +6,28 @@ import difflib
 import math
 from dataclasses import dataclass, field, replace
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 import numpy.typing as npt
 
 from prtcl.errors import InputError
+from prtcl.factors import three_angles
 from prtcl.files.npz import read_npz
 
-KINDS = ("lambert", "ggx-conductor", "ggx-schlick", "blinn", "table")
-COLOURED_CONDUCTOR = 5
+KINDS = ("lambert", "ggx-conductor", "ggx-schlick", "blinn", "table", "measured")
+COLOURED_CONDUCTOR = 6
 """Bit of a kernel's KINDS beside those of the kinds (kernels/brdf.clh)."""
 N_INTS, N_REALS = 4, 12
 """Lengths of a material's rows on the device (kernels/brdf.clh)."""
 
 FORMS = (
     "lambert:albedo=0.5 | ggx:alpha=0.3,eta=0.2,k=3.0 | ggx:alpha=0.3,f0=0.04[,kd=0.5] | "
-    "gltf:base=0.5,roughness=0.5[,metallic=0] | blinn:exponent=200,ks=0.5[,kd=0.1] | table:FILE.npz"
+    "gltf:base=0.5,roughness=0.5[,metallic=0] | blinn:exponent=200,ks=0.5[,kd=0.1] | table:FILE.npz | "
+    "merl:FILE.binary[,angles=2] | rgl:FILE.bsdf[,angles=2] | utia:FILE.bin[,angles=2]"
 )
+MEASURED = ("merl", "rgl", "utia")
+"""Measured formats, each a kind of SPEC."""
 MESH = "mesh"
 """A colour that is the mesh's own: albedo=mesh, or kd=0.8*mesh."""
 # Parameter: (lowest, highest, default; None must be given). Ranges that conserve energy or are physical.
@@ -52,7 +57,8 @@ class Material:
     ----------
     kind : one of `KINDS`
     numbers : parameter to RGB triple (`alpha` and `exponent` to one number)
-    table : None, or {"values": (nh, nd, 3), "theta_h": (nh,), "theta_d": (nd,)} float64, angles in radians
+    table : None, or {"values": (nh, nd, 3), "theta_h": (nh,), "theta_d": (nd,)} float64, angles in radians; of
+        kind "measured", values are (nh, nd, np, 3), with "valid" (nh, nd, np) beside them, 1 for a measured sample
     spec : the text it came from, for messages and reports
     tints : parameter to the share (RGB) of it that the mesh's colour multiplies, from 0 to 1; empty for most
     notes : warnings for people, such as negative table entries set to zero
@@ -81,6 +87,10 @@ class Material:
         name, _, rest = spec.partition(":")
         if name == "table":
             return _read_table(rest, spec)
+        if name in MEASURED:
+            from prtcl.factors.measured_files import read_spec  # which makes materials of what it reads
+
+            return read_spec(spec)
         given = _assignments(spec, rest)
         _refuse_unknown(spec, name, given)
         if name == "ggx":
@@ -156,8 +166,8 @@ class Material:
     @property
     def black(self) -> bool:
         """Whether it reflects nothing."""
-        if self.kind == "table":
-            return not (self.table or {})["values"].any()
+        if self.table is not None:
+            return not self.table["values"].any()
         if self.kind.startswith("ggx"):
             return False  # Schlick's Fresnel term is 1 at grazing angles whatever f0 is
         return not any(any(self.numbers.get(name, _BLACK)) for name in ("albedo", "kd", "ks"))
@@ -189,8 +199,12 @@ class Material:
     def reference(self) -> dict[str, object]:
         """The same material as `prtcl.reference.brdf` takes it."""
         if self.table is not None:
-            return {"kind": "table", **self.table}
+            return {"kind": self.kind, **self.table}
         return {"kind": self.kind.split("-")[0], **self.numbers}
+
+
+_ENTRIES: WeakKeyDictionary[Material, tuple[npt.NDArray[np.float64], ...]] = WeakKeyDictionary()
+"""Measured tables as they are packed: a session packs its materials at every edit, and MERL's are 6 million numbers."""
 
 
 def pack(
@@ -214,7 +228,15 @@ def pack(
         reals[row, 4:7] = numbers.get("f0", numbers.get("eta", numbers.get("ks", 0.0)))
         reals[row, 7:10] = numbers.get("k", 0.0)
         if material.table is not None:
-            parts = [material.table[key].ravel() for key in ("theta_h", "theta_d", "values")]
+            if material.kind == "measured":
+                if material not in _ENTRIES:
+                    _ENTRIES[material] = three_angles.entries(material.table)
+                grids = _ENTRIES[material]
+                reals[row, 3] = grids[2].shape[2]
+            else:
+                theta_h, theta_d, values = (material.table[key] for key in ("theta_h", "theta_d", "values"))
+                grids = theta_h, theta_d, values
+            parts = [grid.ravel() for grid in grids]
             ints[row, 1:] = offset, parts[0].size, parts[1].size
             tables += parts
             offset += sum(part.size for part in parts)
@@ -333,7 +355,8 @@ def from_table(
 
 
 def _table_roughness(table: dict[str, npt.NDArray[np.float64]]) -> float:
-    profile = table["values"].mean(axis=2)
+    # Over the channels and, where there are any, over the bins of φ_d.
+    profile = table["values"].mean(axis=tuple(range(2, table["values"].ndim)))
     sharpest = 1.0
     for column in profile.T:
         fallen = np.nonzero(column < 0.5 * column[0])[0]

@@ -77,7 +77,7 @@ def ends(material: Material) -> tuple[tuple[Material, ...], tuple[Material, ...]
     if material.kind == "lambert":
         own = (Material.parse("lambert:albedo=0.5"),)
         return own, own, 0.0
-    if material.kind == "table":
+    if material.table is not None:
         return (material,), (material,), 0.0
     based = any(np.ravel(material.numbers.get("kd", 0.0)) > 0)
     if material.kind == "blinn":
