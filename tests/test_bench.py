@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 
-from prtcl.apps.bench import command, compare, costs, limits, plots, table, tune, world
+from prtcl.apps.bench import command, compare, costs, limits, measure, plots, table, tune, world
 from prtcl.apps.bench.costs import Size
 from prtcl.apps.bench.registry import STAGES, Job, Stage
 from prtcl.apps.bench.rivals import RIVALS
@@ -487,3 +487,9 @@ def test_the_tuner_tries_every_form_and_keeps_one(
 def test_every_tunable_of_the_library_is_timed() -> None:
     assert set(tune.TIMED_BY) == set(tuning.KNOWN)
     assert {stage for stages in tune.TIMED_BY.values() for stage in stages} <= set(STAGES)
+
+
+@pytest.mark.parametrize("told", [0.0, 1e-9, 0.25])
+def test_a_device_whose_events_tell_no_time_is_timed_by_the_wall(told: float) -> None:
+    timing = measure.Timing((told, 0.5), (1.0, 2.0))
+    assert timing.kernels == ((0.25, 0.5) if told == 0.25 else (1.0, 2.0))

@@ -77,7 +77,7 @@ def rows(
     job = stage.prepare(device, batch, levels, channels)
     timing, result = measure(device, job.call, runs=runs, times=parts, reset=job.reset)
     error = job.check(result)
-    clock = "device" if stage.clock == "device" and min(timing.device) > 0 else "wall"
+    clock = "device" if stage.clock == "device" and timing.by_events else "wall"
     seconds = timing.kernels if clock == "device" else timing.wall
     count, each = batch * parts, median(seconds)
     row: Row = {
