@@ -13,7 +13,7 @@ import numpy as np
 
 from prtcl.apps import brdf_plots
 from prtcl.errors import InputError
-from prtcl.factors.albedo import albedo
+from prtcl.factors.sampled_albedo import sampled_albedo
 from prtcl.factors.bivariate import Bivariate, directions, merl_nodes
 from prtcl.factors.material import MEASURED, Material
 from prtcl.factors.measured import MERL_TURNS, Measured, turns
@@ -144,10 +144,10 @@ def summary(subject: Subject) -> dict[str, Any]:
         out["largest"] = float(subject.f(i[above], o[above]).max())
     out["albedo"] = {
         f"{angle:g}": [float(v) for v in row]
-        for angle, row in zip(ANGLES, albedo(subject.f, np.radians(ANGLES)), strict=True)
+        for angle, row in zip(ANGLES, sampled_albedo(subject.f, np.radians(ANGLES)), strict=True)
     }
     steps = np.linspace(0.0, STEEPEST, 18)
-    every = albedo(subject.f, np.radians(steps), samples=48)
+    every = sampled_albedo(subject.f, np.radians(steps), samples=48)
     at = np.unravel_index(int(every.argmax()), every.shape)
     out["largest_albedo"], out["largest_albedo_at"] = float(every.max()), float(steps[at[0]])
     # A hundredth is what the quadrature may be off by.

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from prtcl.errors import InputError
-from prtcl.factors.albedo import albedo
+from prtcl.factors.sampled_albedo import sampled_albedo
 from prtcl.factors.bivariate import directions
 from prtcl.factors.measured import Measured
 from prtcl.factors.reduction import Brdf, in_two_angles
@@ -133,7 +133,7 @@ def _albedo(name: str, f: Brdf) -> Any:
     figure = _figure(7, 4.5)
     axes = figure.add_subplot()
     degrees = np.concatenate([np.linspace(0, 80, 17), np.linspace(81, 88, 8)])
-    curves = albedo(f, np.radians(degrees), samples=64)
+    curves = sampled_albedo(f, np.radians(degrees), samples=64)
     for channel, colour in enumerate(("tab:red", "tab:green", "tab:blue")):
         axes.plot(degrees, curves[:, channel], color=colour, marker=".", label="RGB"[channel])
     axes.axhline(1.0, color="black", linewidth=0.8, linestyle="--")

@@ -1,4 +1,4 @@
-"""Directional albedo of any BRDF, by float64 quadrature that meets lobes of any width."""
+"""Directional albedo of any function of two directions, by float64 quadrature that meets lobes of any width."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from prtcl.factors.reduction import Brdf
 Array = npt.NDArray[np.float64]
 
 
-def albedo(f: Brdf, theta: npt.ArrayLike, samples: int = 96) -> Array:
+def sampled_albedo(f: Brdf, theta: npt.ArrayLike, samples: int = 96) -> Array:
     """∫ f(i, o) cos θ_i dω_i for outgoing directions at angles `theta` from the normal: (n, 3).
 
     2 · samples² directions: as many in proportion to the cosine as reflected by half vectors even in √θ_h and φ_h,
     weighed by the balance heuristic (Veach 1997): the first find what is diffuse, the second the lobe. A GGX lobe of
-    α = 0.05 is met to 0.1 % (tests/test_albedo.py).
+    α = 0.05 is met to 0.1 % (tests/test_sampled_albedo.py).
 
     Parameters
     ----------
