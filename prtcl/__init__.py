@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from prtcl.factors.environment import Environment as Environment
     from prtcl.factors.material import Material as Material
     from prtcl.factors.sky import sun_sky as sun_sky
+    from prtcl.factors.table import Table as Table
     from prtcl.scene.bake import Bake as Bake
     from prtcl.scene.camera import Camera as Camera
     from prtcl.scene.mesh import Mesh as Mesh
@@ -43,6 +44,7 @@ _HOMES = {
     "prtcl.factors.environment": ("Environment",),
     "prtcl.factors.material": ("Material",),
     "prtcl.factors.sky": ("sun_sky",),
+    "prtcl.factors.table": ("Table",),
     "prtcl.scene.bake": ("Bake",),
     "prtcl.scene.camera": ("Camera",),
     "prtcl.scene.mesh": ("Mesh", "read_mesh"),

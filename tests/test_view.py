@@ -342,7 +342,7 @@ def test_nothing_is_overwritten(tmp_path: Path) -> None:
 
 def test_a_material_is_saved_as_the_command_line_takes_it(tmp_path: Path) -> None:
     state = replace(STATE, looks=(PRESETS["gold"], Look()), exposure=1.5)
-    path = saving.save_material(tmp_path, state, ("1 body", "2"))
+    (path,) = saving.save_material(tmp_path, state, ("1 body", "2"))
     saved = json.loads(path.read_text())
     assert saved["exposure"] == 1.5
     assert [m["part"] for m in saved["materials"]] == ["1 body", "2"]

@@ -22,6 +22,7 @@ import pytest
 import trimesh
 from cases import write_skies
 
+from prtcl.apps.view.table_picture import WIDTH
 from prtcl.compute.choice import Seen
 from prtcl.files.image import read_image
 
@@ -118,7 +119,11 @@ class Tab:
 
     def picture(self) -> Any:
         """Pixels of the canvas."""
-        png = self.page.locator("canvas").first.screenshot()
+        return self.pixels(self.page.locator("canvas").first)
+
+    def pixels(self, shown: Any) -> Any:
+        """Of an element of the page."""
+        png = shown.screenshot()
         from PIL import Image
 
         return np.asarray(Image.open(io.BytesIO(png)).convert("RGB")).astype(float)
@@ -126,6 +131,17 @@ class Tab:
     def slider(self, label: str) -> Any:
         """The thumb of the slider beside a label."""
         return self.page.locator(f"xpath=//label[text()='{label}']/following::*[@role='slider'][1]")
+
+    def drag(self, label: str, pixels: int) -> None:
+        """Move a slider's thumb by the mouse: viser takes arrow keys for the camera's, too."""
+        thumb = self.slider(label)
+        thumb.scroll_into_view_if_needed()
+        box = thumb.bounding_box()
+        x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+        self.page.mouse.move(x, y)
+        self.page.mouse.down()
+        self.page.mouse.move(x + pixels, y, steps=5)
+        self.page.mouse.up()
 
     def pick(self, label: str, option: str) -> None:
         """Choose from a dropdown."""
@@ -187,6 +203,43 @@ def test_undo_gives_the_picture_back(tab: Tab) -> None:
     tab.page.get_by_role("button", name="Undo").click()
     tab.rest()
     assert changed(tab.picture(), first) < 0.01
+
+
+def test_a_material_is_edited_as_a_table(tab: Tab) -> None:
+    """Into a table with no change to see, a slider that changes picture and plot, undo; then too bright, and a mix."""
+
+    def plot() -> Any:
+        shown = [one for one in tab.page.locator("img").all() if one.evaluate("x => x.naturalWidth") == WIDTH]
+        assert len(shown) == 1
+        return tab.pixels(shown[0])
+
+    tab.pick("Preset", "red plastic")
+    tab.rest()
+    plastic = tab.picture()
+    tab.pick("Kind", "table")
+    tab.page.wait_for_selector("text=Sharpness", timeout=PATIENCE)
+    tab.rest()
+    table, first = tab.picture(), plot()
+    assert changed(table, plastic) < 1.0, "the table is the material"
+    assert "Reflects 71 %" in tab.page.inner_text("body")
+    tab.drag("Sharpness", 40)
+    tab.rest()
+    assert changed(tab.picture(), table) > 0.2
+    assert changed(plot(), first) > 0.5
+    for _ in range(10):  # a busy machine may take one drag for several
+        tab.page.get_by_role("button", name="Undo").click()
+        tab.rest()
+        if tab.slider("Sharpness").get_attribute("aria-valuenow") == "0":
+            break
+    assert changed(tab.picture(), table) < 0.01
+    assert changed(plot(), first) < 0.01
+    tab.drag("Brightness", 50)
+    tab.page.wait_for_selector("text=/Too bright/", timeout=PATIENCE)
+    tab.rest()
+    before = tab.picture()
+    tab.pick("Mix with", "gold")
+    tab.rest()
+    assert changed(tab.picture(), before) > 0.5
 
 
 def test_the_camera_orbits(tab: Tab) -> None:

@@ -6,6 +6,7 @@ import argparse
 import json
 import os
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,12 +14,13 @@ import numpy as np
 
 from prtcl.apps import brdf_plots
 from prtcl.errors import InputError
-from prtcl.factors.sampled_albedo import sampled_albedo
+from prtcl.factors.analytic import evaluate
 from prtcl.factors.bivariate import Bivariate, directions, merl_nodes
 from prtcl.factors.material import MEASURED, Material
 from prtcl.factors.measured import MERL_TURNS, Measured, turns
 from prtcl.factors.measured_files import EXTENSIONS, read_measured
 from prtcl.factors.reduction import Brdf, in_two_angles, reduction_error
+from prtcl.factors.sampled_albedo import sampled_albedo
 from prtcl.files.atomic import check_not_input, check_writable, made_folder
 from prtcl.files.merl import SHAPE, write_merl
 
@@ -68,7 +70,7 @@ def run(options: argparse.Namespace) -> int:
         check_writable(options.write)
     if options.output is not None:
         brdf_plots.require()
-    subject = load(options.material, options.device)
+    subject = load(options.material)
     if options.write is not None and subject.path is not None:
         check_not_input(options.write, subject.path)
     figures = summary(subject)
@@ -90,7 +92,7 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-def load(given: str, device: str | None = None) -> Subject:
+def load(given: str) -> Subject:
     """A file by its ending, or a SPEC.
 
     Raises
@@ -118,7 +120,7 @@ def load(given: str, device: str | None = None) -> Subject:
             )
         return Subject(given, kind, found.evaluate, found, None, found.notes, found.name)
     material = Material.parse(given)
-    return Subject(given, material.kind, _on_device(material, device), None, None, material.notes)
+    return Subject(given, material.kind, partial(evaluate, material), None, None, material.notes)
 
 
 def summary(subject: Subject) -> dict[str, Any]:
@@ -180,12 +182,3 @@ def text(figures: dict[str, Any]) -> str:
     lines += [f"  {note}" for note in figures["notes"]]
     lines += [f"  wrote {path}" for path in figures.get("plots", ())]
     return "\n".join(lines)
-
-
-def _on_device(material: Material, device: str | None) -> Brdf:
-    """f as the kernels evaluate it: there is no other code of the analytic kinds but the tests' reference."""
-    from prtcl.compute.device import Device
-    from prtcl.factors.slices import Materials
-
-    materials = Materials(Device(device), [material])
-    return lambda incident, outgoing: materials.evaluate(0, incident, outgoing)

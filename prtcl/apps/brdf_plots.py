@@ -10,10 +10,10 @@ import numpy as np
 import numpy.typing as npt
 
 from prtcl.errors import InputError
-from prtcl.factors.sampled_albedo import sampled_albedo
 from prtcl.factors.bivariate import directions
 from prtcl.factors.measured import Measured
 from prtcl.factors.reduction import Brdf, in_two_angles
+from prtcl.factors.sampled_albedo import sampled_albedo
 from prtcl.files.atomic import replacing
 from prtcl.files.image import srgb
 

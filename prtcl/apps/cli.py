@@ -218,7 +218,6 @@ def _brdf_parser(commands: Any) -> None:
         metavar="FILE",
         help="convert: two angles to a table (.npz), three angles to MERL's layout (.binary)",
     )
-    _device(brdf)
     brdf.add_argument("--quiet", action="store_true", help="no summary")
     brdf.add_argument("--json", action="store_true", help="the summary as JSON on standard output")
     brdf.set_defaults(run=_brdf)

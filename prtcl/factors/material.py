@@ -62,6 +62,7 @@ class Material:
     spec : the text it came from, for messages and reports
     tints : parameter to the share (RGB) of it that the mesh's colour multiplies, from 0 to 1; empty for most
     notes : warnings for people, such as negative table entries set to zero
+    like : the table that this one is an edit of, whose cut may serve it (`prtcl.transport.edit`); None for most
     """
 
     kind: str
@@ -70,6 +71,7 @@ class Material:
     spec: str = ""
     notes: tuple[str, ...] = ()
     tints: dict[str, tuple[float, float, float]] = field(default_factory=dict)
+    like: Material | None = None
 
     @classmethod
     def parse(cls, spec: str | Material) -> Material:

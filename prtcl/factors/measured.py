@@ -136,6 +136,14 @@ class Measured:
             values[row][valid[row]] = (f(i, o) + f(o, i)) / 2
         return cls.make(values, h, d, valid, name=name, notes=notes)
 
+    @classmethod
+    def of(cls, material: Material) -> Measured:
+        """What a material of kind "measured" looks up."""
+        assert material.kind == "measured" and material.table is not None
+        own = material.table
+        name = material.spec or "measured"
+        return cls(own["values"], own["theta_h"], own["theta_d"], own["valid"] > 0, name, material.notes)
+
     @cached_property
     def above(self) -> npt.NDArray[np.bool_]:
         """(nh, nd, np): whether both directions of a node are above the horizon."""

@@ -16,12 +16,14 @@ from prtcl.compute.device import Device
 from prtcl.errors import InputError
 from prtcl.factors.environment import Environment
 from prtcl.factors.material import Material
+from prtcl.factors.table import Table
 from prtcl.factors.visibility import Progress, Tracer
 from prtcl.scene.bake import Bake, read_mesh_or_bake
 from prtcl.scene.camera import Camera, Triple
 from prtcl.scene.mesh import Mesh
 from prtcl.scene.points import back_origins, vertex_points
 from prtcl.scene.scene import Path, Render, own_materials, read_environment
+from prtcl.scene.table_edits import edited
 from prtcl.scene.tint import BLACK, Tints, colour_notes
 from prtcl.scene.viewfinder import Seen, Viewfinder
 from prtcl.transport.edit import Dress, Relit
@@ -52,6 +54,7 @@ class _Outfit:
     full: Dress
     left: Dress | None
     tints: Tints
+    draft: bool
 
 
 class Session:
@@ -181,6 +184,32 @@ class Session:
         new[part] = Material.parse(material)
         self._change(tuple(new))
 
+    def edit(self, change: Callable[[Table], Table], part: int | None = None) -> Table:
+        """Edit materials as tables: `change` takes each one, tabulated where it is none, and gives another.
+
+        `undo` takes the whole back, in one step.
+
+        Parameters
+        ----------
+        change : such as ``lambda table: table.sharpened(1.2)``
+        part : of the mesh; None edits what all parts wear
+
+        Returns
+        -------
+        table : of that part, or the first, after the edit
+
+        Raises
+        ------
+        InputError
+            If there is no such part, or the edit is refused: nothing is changed then.
+        """
+        if part is not None and not 0 <= part < len(self._materials):
+            raise InputError(f"part: expected 0 to {len(self._materials) - 1}, got {part}")
+        parts = range(len(self._materials)) if part is None else range(part, part + 1)
+        materials, table = edited(self._materials, change, parts)
+        self._change(materials)
+        return table
+
     def undo(self) -> bool:
         """Take back the last change of materials; False where there is none."""
         return self._step(self._past, self._future)
@@ -220,7 +249,7 @@ class Session:
 
     def view(
         self, camera: Camera | None = None, *, eye: Triple | None = None, samples: int = 1,
-        progress: Progress | None = None,
+        progress: Progress | None = None, draft: bool = False,
     ) -> Render:  # fmt: skip
         """The image from a camera: of all vertices only what it sees is computed.
 
@@ -230,6 +259,8 @@ class Session:
         eye : moves the camera, its target kept
         samples : N × N sub-pixel points a pixel
         progress : called with numbers of vertices traced, from worker threads
+        draft : while a hand drags: a table edited in `edit` may wear the cut of what it was made of, at a few times the
+            error asked for; the next view that is none fits it its own
 
         Returns
         -------
@@ -243,7 +274,7 @@ class Session:
             self.camera = replace(self.camera, eye=eye)
         work = self._begin()
         seen = self._look(samples, work)
-        full, left = self._shade(seen.vertices, seen.back, self.camera.eye, work, progress)
+        full, left = self._shade(seen.vertices, seen.back, self.camera.eye, work, progress, draft)
         with self._timed("image", work):
             image = self._viewfinder.develop(seen, full, left)
         self.last, settings = work, self._relit.settings
@@ -251,7 +282,7 @@ class Session:
             "device": self.device.name,
             "materials": [m.spec for m in self._materials],
             "settings": {"levels": settings.levels, "rays": settings.rays, "error": self._error},
-            "expected_error": self._dressed(work).full.error,
+            "expected_error": self._dressed(work, draft).full.error,
             "seconds": dict(work.seconds),
             "points": dict(work.points),
             "notes": self.notes,
@@ -327,6 +358,7 @@ class Session:
         eye: Triple,
         work: Work,
         progress: Progress | None,
+        draft: bool = False,
     ) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32] | None]:
         """Radiance (k, 3) of vertices under a white mesh, and what of it no colour multiplies, if any does."""
         relit = self._relit
@@ -340,7 +372,7 @@ class Session:
             count = run()
             if count:
                 work.seconds[stage], work.points[stage] = time.perf_counter() - start, count
-        outfit = self._dressed(work)
+        outfit = self._dressed(work, draft)
         with self._timed("shade", work):
             work.points["shade"] = len(vertices)
             full = relit.radiance(outfit.full, eye, vertices)
@@ -353,15 +385,16 @@ class Session:
                 left[some] = relit.radiance(outfit.left, eye, vertices[some])
             return full, left
 
-    def _dressed(self, work: Work) -> _Outfit:
-        if self._outfit is None:
+    def _dressed(self, work: Work, draft: bool) -> _Outfit:
+        if self._outfit is None or (self._outfit.draft and not draft):
             with self._timed("cuts", work):
                 tints = Tints(self._materials, self.mesh)
                 left = [tints.materials[i] if i >= 0 else BLACK for i in tints.left]
                 self._outfit = _Outfit(
-                    self._relit.dress(list(self._materials), self._error),
-                    self._relit.dress(left, self._error) if (tints.left >= 0).any() else None,
+                    self._relit.dress(list(self._materials), self._error, draft),
+                    self._relit.dress(left, self._error, draft) if (tints.left >= 0).any() else None,
                     tints,
+                    draft,
                 )
         return self._outfit
 

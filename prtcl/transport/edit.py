@@ -11,7 +11,7 @@ from collections import OrderedDict
 from collections.abc import Hashable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -36,6 +36,11 @@ Indices = npt.NDArray[np.int32]
 
 KEPT = 4
 """Lists of leaves that stay on the device: what is worn now, and what was just before."""
+CUTS = 128
+"""Cuts that stay here. Each edit of a table asks for one; those of analytic materials are some dozens in all."""
+DRAFT = 4.0
+"""Times the error asked for that a draft may cost: a fit takes half a second, and trying another's cut a tenth of it
+(bench/table_edit.py)."""
 
 
 class Relit:
@@ -79,8 +84,9 @@ class Relit:
         self._bits = np.zeros((count, words), dtype=np.uint32) if bits is None else bits.copy()
         self.traced = np.full(count, bits is not None)
         self.collapsed = np.zeros(count, dtype=np.bool_)
-        self._cuts: dict[Hashable, tuple[cut.Cut, tuple[Material, ...]]] = {}
-        self._lists: OrderedDict[Hashable, Leaves] = OrderedDict()
+        self._cuts: OrderedDict[Hashable, tuple[cut.Cut, tuple[Material, ...]]] = OrderedDict()
+        self._tried: OrderedDict[Hashable, tuple[float, Material, cut.Cut]] = OrderedDict()
+        self._lists: OrderedDict[Hashable, tuple[Leaves, list[cut.Cut]]] = OrderedDict()
         self._pilots: Pilots | None = None
         self._pilot_bits = None if bits is None else bits[sample(count)]
         self.light: Light | None = None
@@ -96,8 +102,8 @@ class Relit:
         self.channels = 1 if light.grey else 3
         self.scale = pyramid.scale_for(float(light.cube[..., :3].max()))
         self.collapsed[:] = False
-        self._cuts.clear()
-        self._lists.clear()
+        for kept in (self._cuts, self._tried, self._lists):
+            kept.clear()
         self._pilots = None
 
     def turn(self, chosen: Indices, back: npt.NDArray[np.bool_]) -> None:
@@ -154,43 +160,69 @@ class Relit:
 
     # --- materials ------------------------------------------------------------------------------------------
 
-    def dress(self, materials: list[Material], error: float) -> Dress:
+    def dress(self, materials: list[Material], error: float, draft: bool = False) -> Dress:
         """Materials ready to shade with, their cuts made or found.
 
         Parameters
         ----------
         materials : what the points' `material` indexes
         error : relative, what the cuts may leave out; 0 takes every sample
+        draft : while a hand drags: an edit of a table may wear that one's cut at `DRAFT` times the error
         """
-        cuts = [self._cut(material, error) for material in materials]
+        found = [self._cut(material, error, draft) for material in materials]
+        cuts = [own for own, _ in found]
         places = [0.0 if error == 0.0 else cut.ends(material)[2] for material in materials]
         key = tuple((id(own), place) for own, place in zip(cuts, places, strict=True))
         if key not in self._lists:
-            self._lists[key] = Leaves(self.device, self._squares, cuts, places)
-            while len(self._lists) > KEPT:
-                self._lists.popitem(last=False)
+            # The cuts are kept with their leaves: each is known by its identity, which must stay its own.
+            _keep(self._lists, key, (Leaves(self.device, self._squares, cuts, places), cuts), KEPT)
         self._lists.move_to_end(key)
         hard = None if self._hard is None else self._hard.lists(materials, error)
-        return Dress(Materials(self.device, materials), cuts, self._lists[key], hard)
+        return Dress(
+            Materials(self.device, materials), cuts, self._lists[key][0], hard, max(e for _, e in found)
+        )
 
-    def _cut(self, material: Material, error: float) -> cut.Cut:
-        """A cut of the error asked for, or a whole one for 0."""
+    def _cut(self, material: Material, error: float, draft: bool) -> tuple[cut.Cut, float]:
+        """A cut of the error asked for, or a whole one for 0, and what it is expected to leave out of this material.
+
+        An edit of a table takes that one's cut where it does, as tried at the sample of points for the edit itself.
+        """
         if error == 0.0:
-            return self._whole
+            return self._whole, 0.0
+        if material.like is not None and self._key(material, error) not in self._cuts:
+            own = self._cut(material.like, error, False)[0]
+            off = self._off(material, own)
+            if off <= error * (DRAFT if draft else 1.0):
+                return own, off
         sharp, wide, _ = cut.ends(material)
-        key = (error, *(id(m) if m.table else m.spec for m in sharp))
+        key = self._key(material, error)
         if key not in self._cuts:
-            if self._pilots is None:
-                assert self.light is not None
-                some = sample(len(self.points))
-                self._pilots = Pilots(
-                    self.device, self.tracer, self._front[some], self._pilot_bits, self.settings, self._squares,
-                    self._whole, self.light,
-                )  # fmt: skip
-                self._pilot_bits = self._pilots.bits
             # The stand-ins are kept: a table is known by its identity, which must stay its own.
-            self._cuts[key] = self._pilots.fit(sharp, wide, error), sharp
-        return self._cuts[key][0]
+            _keep(self._cuts, key, (self._sample().fit(sharp, wide, error), sharp), CUTS)
+        self._cuts.move_to_end(key)
+        made = self._cuts[key][0]
+        return made, made.error
+
+    def _key(self, material: Material, error: float) -> Hashable:
+        return (error, *(id(m) if m.table else m.spec for m in cut.ends(material)[0]))
+
+    def _off(self, material: Material, own: cut.Cut) -> float:
+        """What another's cut costs a material, as measured at the sample."""
+        key = id(material), id(own)
+        if key not in self._tried:
+            _keep(self._tried, key, (self._sample().measure(material, own), material, own), CUTS)
+        return self._tried[key][0]
+
+    def _sample(self) -> Pilots:
+        if self._pilots is None:
+            assert self.light is not None
+            some = sample(len(self.points))
+            self._pilots = Pilots(
+                self.device, self.tracer, self._front[some], self._pilot_bits, self.settings, self._squares,
+                self._whole, self.light,
+            )  # fmt: skip
+            self._pilot_bits = self._pilots.bits
+        return self._pilots
 
     @cached_property
     def _whole(self) -> cut.Cut:
@@ -219,14 +251,26 @@ class Relit:
 
 @dataclass(frozen=True, eq=False)
 class Dress:
-    """Packed materials and their cuts on a device: `hard` as `HardSums.lists` gives them."""
+    """Packed materials and their cuts on a device.
+
+    Attributes
+    ----------
+    hard : as `HardSums.lists` gives them
+    error : what the coarsest of the cuts is expected to leave out, relative
+    """
 
     materials: Materials
     cuts: list[cut.Cut]
     leaves: Leaves
     hard: tuple[Any, Any] | None
+    error: float
 
-    @property
-    def error(self) -> float:
-        """What the coarsest of the cuts is expected to leave out, relative."""
-        return max(own.error for own in self.cuts)
+
+Value = TypeVar("Value")
+
+
+def _keep(kept: OrderedDict[Hashable, Value], key: Hashable, value: Value, most: int) -> None:
+    """Put a value in, and take out those longest unused."""
+    kept[key] = value
+    while len(kept) > most:
+        kept.popitem(last=False)

@@ -125,6 +125,13 @@ class Pilots:
         assert best is not None
         return best
 
+    def measure(self, material: Material, own: cut.Cut) -> float:
+        """What a cut made for another material costs this one, relative to the mean under the whole light."""
+        one = Materials(self.device, [material])
+        want, mean = self._truth(one)
+        found = _rmse(self._radiance(one, Leaves(self.device, self.squares, [own], [0.0])), want)
+        return found / mean if mean > 0.0 else 0.0
+
     def _truth(self, one: Materials) -> tuple[npt.NDArray[np.floating], float]:
         """Soft radiance over all samples, and the mean under the whole light."""
         soft = self._radiance(one, self._all)

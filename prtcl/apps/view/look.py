@@ -9,11 +9,12 @@ from typing import Any
 
 import numpy as np
 
+from prtcl.apps.view.recipe import Recipe
 from prtcl.factors.material import Material
 
 Colour = tuple[float, float, float]
 
-KINDS = ("lambert", "metal", "dielectric", "blinn", "as given")
+KINDS = ("lambert", "metal", "dielectric", "blinn", "table", "as given")
 ALPHA = (0.02, 1.0)
 """Range of the roughness slider. Sharper lobes are for `prtcl render`: vertices are too far apart for them."""
 HISTORY = 500
@@ -35,6 +36,7 @@ class Look:
     alpha : GGX roughness; Blinn's exponent is the one that corresponds to it
     specular : reflectance at normal incidence of a dielectric, ks of blinn
     painted : the mesh's own colour multiplies this one
+    recipe : what a table is made of and how it is edited; kept while another kind is tried
     given : what "as given" means: the material of the command line or of the mesh
     """
 
@@ -44,12 +46,15 @@ class Look:
     specular: float = 0.04
     given: Material | None = None
     painted: bool = False
+    recipe: Recipe | None = None
 
     @classmethod
     def of(cls, material: Material) -> Look:
         """A look that shows this material, on sliders where they reach it, to the four digits of a SPEC."""
         numbers = material.numbers
         at = cls("as given", given=material)
+        if material.kind == "table":
+            return replace(at, kind="table", recipe=Recipe(material))
         if material.tints:
             parameter, painted = _COLOUR_OF.get(material.kind, ""), replace(at, painted=True)
             if material.tints != {parameter: (1.0, 1.0, 1.0)}:
@@ -78,7 +83,9 @@ class Look:
 
     def cleaned(self) -> Look:
         """With every value in its range: what comes from a page is only a wish."""
-        kind = self.kind if self.kind in KINDS and (self.kind != "as given" or self.given) else "lambert"
+        kind = self.kind if self.kind in KINDS else "lambert"
+        if (kind == "as given" and self.given is None) or (kind == "table" and self.recipe is None):
+            kind = "lambert"
         colour = [_clamped(value, 0.0, 1.0) for value in self.colour]
         return replace(
             self,
@@ -88,12 +95,22 @@ class Look:
             specular=_clamped(self.specular, 0.0, 1.0),
         )
 
+    def tabulated(self) -> Look:
+        """The same as a table to edit; the edits made before, where it was one of this material."""
+        if self.kind == "table":
+            return self
+        base = self.material
+        recipe = self.recipe if self.recipe is not None and self.recipe.base is base else Recipe(base)
+        return replace(self, kind="table", recipe=recipe)
+
     @property
     def spec(self) -> str:
-        """The SPEC that `--brdf` takes."""
+        """The SPEC that `--brdf` takes; of a table what it was made of."""
         colour = "/".join(f"{value:.4g}" for value in self.colour) + ("*mesh" if self.painted else "")
         if self.kind == "as given" and self.given is not None:
             return self.given.spec
+        if self.kind == "table" and self.recipe is not None:
+            return self.recipe.spec
         if self.kind == "metal":
             return f"ggx:alpha={self.alpha:.4g},f0={colour}"
         if self.kind == "dielectric":
@@ -108,6 +125,8 @@ class Look:
         """What is rendered; the same object for the same look."""
         if self.kind == "as given" and self.given is not None:
             return self.given
+        if self.kind == "table" and self.recipe is not None:
+            return self.recipe.material
         return _parsed(self.spec)
 
 

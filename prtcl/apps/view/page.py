@@ -18,6 +18,7 @@ from prtcl.apps.view.loop import WAITING, Loop
 from prtcl.apps.view.saving import save_image, save_material
 from prtcl.apps.view.state import STOPS, Eye, State, develop, linear_colour, picked_colour
 from prtcl.apps.view.studio import FINE, Drawn, Quality
+from prtcl.apps.view.table_panel import TablePanel
 from prtcl.errors import PrtclError
 
 CUSTOM = "custom"
@@ -57,7 +58,12 @@ class Page:
             self.part = gui.add_dropdown("Part", self.parts, visible=len(self.parts) > 1)
             self.preset = gui.add_dropdown("Preset", (CUSTOM, *PRESETS))
             kinds = KINDS if any(one.given for one in state.looks) else KINDS[:-1]
-            self.kind = gui.add_dropdown("Kind", kinds, initial_value=look.kind)
+            self.kind = gui.add_dropdown(
+                "Kind",
+                kinds,
+                initial_value=look.kind,
+                hint="table: whatever it is now, to edit by its angles",
+            )
             self.colour = gui.add_rgb("Colour", picked_colour(look.colour))
             self.painted = gui.add_checkbox(
                 "Mesh's colours",
@@ -78,6 +84,7 @@ class Page:
                 "Specular", 0.0, 1.0, 0.005, look.specular, hint="f0 of a dielectric, ks of blinn"
             )
             self.step = gui.add_button_group("History", ("Undo", "Redo"))
+        self.table = TablePanel(gui)
         with gui.add_folder("Light"):
             self.environment = gui.add_dropdown("Environment", self._environments)
             self.rotate = gui.add_slider(
@@ -97,6 +104,8 @@ class Page:
             *((control, self._dressed(control)) for control in looks),
         ):  # fmt: skip
             control.on_update(_from_page(handler))
+        for control in self.table.controls:
+            control.on_update(_from_page(self._edited(control)))
         self.step.on_click(_from_page(self._stepped))
         self.save.on_click(_from_page(self._saved))
 
@@ -116,28 +125,33 @@ class Page:
         ):  # fmt: skip
             if control is not touched and control.value != value:
                 control.value = value
-        given = look.kind == "as given"
+        given = look.kind in ("as given", "table")
         for control, off in (
             (self.colour, given), (self.painted, given), (self.roughness, given or look.kind == "lambert"),
             (self.specular, look.kind not in ("dielectric", "blinn")),
         ):  # fmt: skip
             if control.disabled != off:
                 control.disabled = off
+        self.table.show(look, touched)
 
     def _chosen_part(self) -> None:
-        self._show(self.seat.state.looks[self._part])
+        look = self.seat.state.looks[self._part]
+        self._show(look)
+        self.table.draw(look)
 
     def _chosen_preset(self) -> None:
         if self.preset.value in PRESETS:
-            given = self.seat.state.looks[self._part].given
-            self._dress(replace(PRESETS[self.preset.value], given=given), self.preset)
+            before = self.seat.state.looks[self._part]
+            preset = replace(PRESETS[self.preset.value], given=before.given, recipe=before.recipe)
+            self._dress(preset, self.preset)
 
     def _dressed(self, control: Any) -> Callable[[], None]:
         def changed() -> None:
             before = self.seat.state.looks[self._part]
             # Only what was touched: a colour from the picker has eight bits, and need not be what was set.
             if control is self.kind:
-                look = replace(before, kind=str(control.value))
+                named = str(control.value)
+                look = before.tabulated() if named == "table" else replace(before, kind=named)
             elif control is self.colour:
                 look = replace(before, colour=linear_colour(control.value))
             elif control is self.painted:
@@ -147,6 +161,18 @@ class Page:
             else:
                 look = replace(before, specular=float(control.value))
             self._dress(look.cleaned(), control)
+
+        return changed
+
+    def _edited(self, control: Any) -> Callable[[], None]:
+        def changed() -> None:
+            before = self.seat.state.looks[self._part]
+            if before.kind == "table" and before.recipe is not None:
+                try:
+                    recipe = self.table.changed(before.recipe, control)
+                except PrtclError:
+                    return  # no number: not from this page's sliders
+                self._dress(replace(before, recipe=recipe), control)
 
         return changed
 
@@ -181,7 +207,7 @@ class Page:
 
     def _saved(self) -> None:
         if self.save.value == "Material":
-            self._keep(lambda: [save_material(self.folder, self.seat.state, self.parts)])
+            self._keep(lambda: save_material(self.folder, self.seat.state, self.parts))
         elif not self.loop.save(self.seat, self._save_image):
             self.client.add_notification(
                 "Not saved",
@@ -212,6 +238,7 @@ class Page:
         jpeg = FINER_JPEG if quality is FINE else MOVING_JPEG
         self.client.scene.set_background_image(picture, format="jpeg", jpeg_quality=jpeg)
         self.status.content = described(quality, drawn, time.perf_counter() - start)
+        self.table.draw(state.looks[self._part])
         self.client.flush()
 
     def _tell(self, text: str) -> None:

@@ -6,11 +6,14 @@ import json
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
+from prtcl.apps.view.look import Look
 from prtcl.apps.view.state import State
 from prtcl.errors import InputError
+from prtcl.factors.material import Material
 from prtcl.files.atomic import replacing
 from prtcl.scene.scene import Render
 
@@ -51,23 +54,52 @@ def save_image(folder: Path, render: Render, exposure: float) -> list[Path]:
     return [exr, png]
 
 
-def save_material(folder: Path, state: State, parts: tuple[str, ...]) -> Path:
-    """Write the looks of all parts, and the light they were judged under, as JSON; returns its path."""
-    with reserved(folder, "material", (".json",)) as (path,), replacing(path) as aside:
-        aside.write_text(json.dumps(described(state, parts), indent=2) + "\n", encoding="utf-8")
-    return path
+def save_material(folder: Path, state: State, parts: tuple[str, ...]) -> list[Path]:
+    """Write the looks of all parts, and the light they were judged under, as JSON, and beside it tables as .npz.
+
+    Returns their paths, the JSON's first.
+    """
+    tables = {number: look.recipe for number, look in enumerate(state.looks, 1) if look.kind == "table"}
+    suffixes = (".json", *(f"-part{number}.npz" for number in tables))
+    with reserved(folder, "material", suffixes) as paths:
+        names = dict(zip(tables, (path.name for path in paths[1:]), strict=True))
+        for recipe, path in zip(tables.values(), paths[1:], strict=True):
+            assert recipe is not None
+            recipe.table.save(path)
+        with replacing(paths[0]) as aside:
+            text = json.dumps(described(state, parts, names), indent=2)
+            aside.write_text(text + "\n", encoding="utf-8")
+    return paths
 
 
-def described(state: State, parts: tuple[str, ...]) -> dict[str, Any]:
-    """What is saved of a state: SPECs are as `--brdf` takes them."""
+def described(state: State, parts: tuple[str, ...], tables: dict[int, str] | None = None) -> dict[str, Any]:
+    """What is saved of a state: SPECs are as `--brdf` takes them.
+
+    Parameters
+    ----------
+    tables : numbers of the parts that wear one, from 1, to the names of their files
+    """
+    materials = []
+    for number, (part, look) in enumerate(zip(parts, state.looks, strict=True), 1):
+        if number in (tables or {}):
+            file = (tables or {})[number]
+            materials.append({"part": part, "brdf": f"table:{file}", "edits": edits(look)})
+        else:
+            materials.append({"part": part, "brdf": look.spec})
     return {
-        "materials": [
-            {"part": part, "brdf": look.spec} for part, look in zip(parts, state.looks, strict=True)
-        ],
+        "materials": materials,
         "environment": state.environment,
         "rotate": state.rotate,
         "exposure": state.exposure,
     }
+
+
+def edits(look: Look) -> dict[str, Any]:
+    """What was done to a table, as the page's numbers."""
+    if look.recipe is None:
+        return {}
+    numbers = {f.name: getattr(look.recipe, f.name) for f in fields(look.recipe)}
+    return {name: value.spec if isinstance(value, Material) else value for name, value in numbers.items()}
 
 
 def _remove(paths: list[Path]) -> None:

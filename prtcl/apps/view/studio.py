@@ -156,7 +156,8 @@ class Studio:
         materials = [look.material for look in state.looks]
         if list(session.materials) != materials:
             session.material = materials
-        render = session.view(camera, samples=quality.samples)
+        # Tables have their own cuts fitted once the hand rests.
+        render = session.view(camera, samples=quality.samples, draft=quality is not FINE)
         _, exposure, notes = self.environment(state.environment)
         return Drawn(render, exposure, time.perf_counter() - start, not fine, notes)
 
