@@ -1,6 +1,8 @@
 """The acceptance table: `prtcl render` at its defaults against the float64 reference at a higher resolution.
 
     python bench/accuracy.py [-o bench/results/accuracy.json] [--pixels 24] [--size 72x60]
+    python bench/accuracy.py --meshes bob nefertiti --environments modern_buildings_2 --pixels 12 \
+        --measured red-plastic gold-metallic-paint pearl-paint nickel -o bench/results/measured.json
 
 Meshes and environments are those of bench/scenes.py. The reference is equation (1) in float64 NumPy
 (`prtcl.reference`), at a sample of covered pixels stratified by their brightness. A pixel has 1,024 points. At each
@@ -17,9 +19,12 @@ told (bench/path_tracer.py).
 from __future__ import annotations
 
 import argparse
+import sys
+import tempfile
 import time
 from pathlib import Path
 
+import networks
 import numpy as np
 import scenes
 from exact import Exact
@@ -27,11 +32,13 @@ from exact import Exact
 from prtcl.apps.cli import size
 from prtcl.compute.device import Device
 from prtcl.factors.material import Material
+from prtcl.files.merl import write_merl
 from prtcl.scene.camera import Camera
 from prtcl.scene.points import pixel_points, shoot
 from prtcl.scene.scene import Scene
 
 LEVELS, POINTS, PEAK_SIDE = 5, 1024, 4
+MEASURED_LIMIT = 0.03
 
 
 def reference_pixel(scene: Scene, pixel: int, materials: list[dict], exact: Exact) -> np.ndarray:  # type: ignore[type-arg]
@@ -57,19 +64,40 @@ def main() -> None:
     parser.add_argument("--size", type=size, default=(72, 60))
     parser.add_argument("--meshes", nargs="*", default=scenes.MESHES)
     parser.add_argument("--environments", nargs="*", default=scenes.ENVIRONMENTS)
+    parser.add_argument(
+        "--measured",
+        nargs="+",
+        metavar="NAME",
+        help="fitted materials of MERL, in its layout, in place of the others",
+    )
     options = parser.parse_args()
     scenes.require_data()
-    device = Device()
-    rows = []
+    with tempfile.TemporaryDirectory() as folder:
+        specs = [measured_file(name, Path(folder)) for name in options.measured or ()]
+        run(options, specs or list(scenes.MATERIALS), (MEASURED_LIMIT,) * len(specs) or scenes.LIMITS)
+
+
+def measured_file(name: str, folder: Path) -> str:
+    """The SPEC of a fitted material, written in MERL's layout."""
+    own = networks.measured("merl", name)
+    write_merl(folder / f"{name}.binary", own.values, own.valid)
+    return f"merl:{folder / name}.binary"
+
+
+def run(options: argparse.Namespace, specs: list[str], limits: tuple[float, ...]) -> None:
+    """All meshes, environments and materials."""
+    device, rows = Device(), []
+    given = [Material.parse(spec) for spec in specs]
+    names = [Path(spec).stem if spec.startswith("merl:") else spec for spec in specs]
     for mesh in options.meshes:
         for environment in options.environments:
             renders = []
-            for spec in scenes.MATERIALS:
+            for name, material in zip(names, given, strict=True):
                 scene = Scene(
-                    scenes.mesh_path(mesh), scenes.environment_path(environment), spec, device=device
+                    scenes.mesh_path(mesh), scenes.environment_path(environment), material, device=device
                 )
                 scene.camera = Camera.framing(scene.mesh.bounds, size=options.size)
-                renders.append((spec, scene.render()))
+                renders.append((name, scene.render()))
             exact = Exact(scene.environment, scene.tracer, LEVELS, PEAK_SIDE)
             covered = np.nonzero(renders[0][1].image[..., 3].ravel() > 0)[0]
             grey = renders[0][1].image[..., :3].sum(axis=2).ravel()[covered]
@@ -78,7 +106,7 @@ def main() -> None:
             rng = np.random.default_rng(7)
             pixels = np.array([rng.choice(stratum) for stratum in strata if len(stratum)])
             start = time.perf_counter()
-            materials = [Material.parse(spec).reference() for spec in scenes.MATERIALS]
+            materials = [material.reference() for material in given]
             halves = np.stack([reference_pixel(scene, int(p), materials, exact) for p in pixels])
             seconds = time.perf_counter() - start
             for m, (spec, render) in enumerate(renders):
@@ -92,7 +120,7 @@ def main() -> None:
                     "relative_rmse": float(np.sqrt(((got - truth) ** 2).mean()) / truth.mean()),
                     "reference_noise": noise,
                     "bias": float(got.mean() / truth.mean() - 1),
-                    "limit": scenes.LIMITS[m],
+                    "limit": limits[m],
                     "pixels": len(pixels),
                     "seconds": round(render.report["seconds"]["total"], 2),
                     "points_per_pixel": render.report["points_per_pixel"],
@@ -106,9 +134,12 @@ def main() -> None:
                     f"  {row['seconds']:.1f} s  reference {seconds:.0f} s",
                     flush=True,
                 )
-    scenes.save(
-        options.output, device=device.name, size=options.size, command="python bench/accuracy.py", rows=rows
+    command = (
+        " ".join(["python bench/accuracy.py", *sys.argv[1:]])
+        if options.measured
+        else "python bench/accuracy.py"
     )
+    scenes.save(options.output, device=device.name, size=options.size, command=command, rows=rows)
     if any(row["relative_rmse"] > row["limit"] for row in rows):
         raise SystemExit("a limit was missed")
 

@@ -8,15 +8,15 @@ taken. The package itself reads measurements and no networks.
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
+import scenes
 
 from prtcl.factors.measured import Measured
 
 Array = npt.NDArray[np.float64]
-FOLDER = Path(__file__).resolve().parents[2] / "shared" / "data" / "brdfs"
+FOLDER = scenes.DATA / "brdfs"
 SOURCES = ("merl", "rgl")
 SIZES = ((6, 21), (21,), (21, 21), (21,), (21, 3), (3,))
 """W1, b1, W2, b2, W3, b3, one after another."""
