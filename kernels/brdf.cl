@@ -16,13 +16,11 @@
 #include "common.clh"
 #include "quadtree.clh"
 #include "brdf.clh"
+#include "cell.clh"
 
 // Problem constants
 #ifndef LEVELS
   #error "LEVELS: pass -D LEVELS=<levels of the slices>"
-#endif
-#ifndef SUB
-  #error "SUB: pass -D SUB=<levels of subsamples: 4^SUB evaluations a cell>"
 #endif
 #ifndef CHANNELS
   #error "CHANNELS: pass -D CHANNELS=1 or 3"
@@ -42,14 +40,8 @@ void brdf_slices(const global int *restrict ints, const global REAL *restrict re
     const size_t view = get_global_id(1);
     if (cell >= N_SAMPLES(LEVELS))
         return;
-    const REAL4 outgoing = views[view];
-    REAL4 sum = (REAL4)((REAL)0);
-    for (int i = 0; i < N_SAMPLES(SUB); ++i) {
-        const REAL4 incident = directions[cell * N_SAMPLES(SUB) + i];
-        sum += incident.w * brdf(ints + material * MATERIAL_INTS, reals + material * MATERIAL_REALS, tables,
-                                 incident, outgoing);
-    }
-    sum *= (REAL)1 / N_SAMPLES(SUB);
+    const REAL4 sum = cell_average(ints + material * MATERIAL_INTS, reals + material * MATERIAL_REALS, tables,
+                                   directions + (size_t)cell * N_SAMPLES(SUB), views[view]);
     global REAL *out = dst + (first + view) * CHANNELS * N_SAMPLES(LEVELS) + cell;
     out[0] = sum.x;
     if (CHANNELS == 3) {

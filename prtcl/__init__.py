@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from prtcl.factors.table import Table as Table
     from prtcl.scene.bake import Bake as Bake
     from prtcl.scene.camera import Camera as Camera
+    from prtcl.scene.fit import fit as fit
     from prtcl.scene.mesh import Mesh as Mesh
     from prtcl.scene.mesh import read_mesh as read_mesh
     from prtcl.scene.scene import Render as Render
@@ -47,6 +48,7 @@ _HOMES = {
     "prtcl.factors.table": ("Table",),
     "prtcl.scene.bake": ("Bake",),
     "prtcl.scene.camera": ("Camera",),
+    "prtcl.scene.fit": ("fit",),
     "prtcl.scene.mesh": ("Mesh", "read_mesh"),
     "prtcl.scene.scene": ("Render", "Scene"),
     "prtcl.scene.session": ("Session",),

@@ -21,10 +21,13 @@ from prtcl import quadtree, reference
 from prtcl.compute.device import Device
 from prtcl.compute.source import kernel_folder
 from prtcl.factors import environment, hemisphere
+from prtcl.factors.bivariate import Bivariate
 from prtcl.factors.environment import Environment, Light
 from prtcl.factors.material import Material, from_table
 from prtcl.factors.measured import Measured
+from prtcl.factors.slice_operator import SliceOperator
 from prtcl.factors.slices import Materials
+from prtcl.factors.table_slices import TableSlices
 from prtcl.transport import collapse, cut, shade
 from prtcl.transport.hard_tree import HardSums
 from prtcl.transport.leaves import Leaves, Squares
@@ -331,6 +334,36 @@ def hard_light_kept(device: Device) -> None:
     assert (np.abs(got - expected) <= 2 * pyramid.ROUNDING * expected.max(axis=1, keepdims=True)).all()
 
 
+def bivariate(device: Device) -> None:
+    """W_v against its adjoint and that one's twin, hard light too, and a local edit against a rebuild."""
+    rng, h, d = np.random.default_rng(8), np.linspace(0.0, 1.5, 7), np.linspace(0.1, 1.4, 5)
+    for levels, channels in ((1, 1), (3, 3)):
+        operator = SliceOperator(device, h, d, levels, channels, 1)
+        x, g = rng.uniform(0.1, 1, (7, 5, channels)), rng.uniform(0.1, 1, (POINTS, channels, 4**levels))
+        views = directions(POINTS)
+        forward = operator.forward(x, views).get().astype(np.float64)
+        close(device, (x * operator.adjoint(g, views)).sum(), (forward * g).sum(), slack=10)
+        samples, rows = haar.inverse(device, device.array(g)), (operator.rows(POINTS), operator.rows(POINTS))
+        operator.add_soft(rows[0], samples, operator.outgoing(views))
+        twin = device.kernels("bivariate.cl", LEVELS=levels, SUB=1, CHANNELS=channels, KINDS=16, GROUP=64)
+        device.launch(
+            twin["table_adjoint_plain"], 35, 64, operator.nodes, 7, 5, operator.directions,
+            device.array(operator.outgoing(views)), samples, 1, 1.0, rows[1], y=POINTS,
+        )  # fmt: skip
+        close(device, rows[0].get(), rows[1].get().astype(np.float64), slack=10)
+        light, frames = sky(1, hard=True), cases.frames(POINTS)
+        hard = operator.rows(POINTS)
+        operator.add_hard(hard, light, np.full((POINTS, 1), 7, np.uint32), frames, operator.outgoing(views))
+        local = np.einsum("pij,lj->pli", frames.astype(np.float64), light.hard[:, :3])
+        expected = np.maximum(local[..., 2], 0) @ light.hard[:, 3 : 3 + channels]
+        close(device, hard.get().reshape(POINTS, 35, channels).sum(axis=1), expected, slack=10)
+    table = Bivariate.make(rng.uniform(0.1, 1, (7, 5, 3)), h, d)
+    kept = TableSlices(device, table, directions(5), 2, 1)
+    kept.edit(slice(2, 4), slice(1, 2), 5.0)
+    whole = Materials(device, [Bivariate.make(kept.values, h, d).material()]).slices(directions(5), 2, 1)
+    assert (kept.coefficients.get() == whole.get()[0]).all()
+
+
 def limits(device: Device) -> None:
     """Copies, and chains of multiply-adds."""
     values = np.random.default_rng(0).normal(size=2 * 64).astype(device.dtype)
@@ -347,7 +380,7 @@ def limits(device: Device) -> None:
 
 TASKS: tuple[Callable[[Device], None], ...] = (
     haar_both_ways, triple_products, visibility, environment_gathered_and_splat, light_and_visibility, reflectance,
-    radiance, hard_light, editing, hard_light_kept, limits,
+    radiance, hard_light, editing, hard_light_kept, bivariate, limits,
 )  # fmt: skip
 
 

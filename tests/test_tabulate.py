@@ -96,7 +96,9 @@ def test_a_measured_material_is_evaluated_and_reduced_as_it_says() -> None:
     h, d = (np.linspace(0.05, 1.5, n) for n in (6, 5))
     own = Measured.make(np.random.default_rng(1).random((6, 5, 4, 3)), h, d, name="made")
     incident, outgoing = directions([0.1, 0.4, 0.6], [0.3, 0.5, 0.1], [0.2, 2.0, 5.0])
-    np.testing.assert_array_equal(evaluate(own.material(), incident, outgoing), own.evaluate(incident, outgoing))
+    np.testing.assert_array_equal(
+        evaluate(own.material(), incident, outgoing), own.evaluate(incident, outgoing)
+    )
     table = tabulate(own.material())
     np.testing.assert_array_equal(table.values, own.bivariate().values)
     even = tabulate(own.material(), h, d)

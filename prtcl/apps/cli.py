@@ -1,4 +1,4 @@
-"""The command line: `prtcl demo | render | bake | view | brdf | bench | devices`.
+"""The command line: `prtcl demo | render | bake | fit | view | brdf | bench | devices`.
 
 Exit status: 0 done, 1 the job failed, 2 the input or the command line was wrong. An error is one or two lines that
 name the file or the option and say what to do.
@@ -146,6 +146,7 @@ def parser() -> Parser:
     _common(bake)
     bake.set_defaults(run=_bake)
 
+    _fit_parser(commands)
     _view_parser(commands)
     _brdf_parser(commands)
     _bench_parser(commands)
@@ -155,6 +156,39 @@ def parser() -> Parser:
     devices.add_argument("--json", action="store_true")
     devices.set_defaults(run=_devices)
     return top
+
+
+def _fit_parser(commands: Any) -> None:
+    fit = commands.add_parser("fit", help="a bivariate table from images of a mesh")
+    fit.add_argument("mesh", metavar="MESH", help="OBJ, PLY, STL, GLB or glTF, of one material")
+    fit.add_argument(
+        "--views", required=True, metavar="VIEWS.json",
+        help="a list of {image, env, eye, target[, up, fov, env_rotate]}: EXR images as `render` writes them, "
+        "files relative to the list's folder",
+    )  # fmt: skip
+    fit.add_argument("-o", "--output", required=True, metavar="TABLE.npz", help="for --brdf table:TABLE.npz")
+    fit.add_argument(
+        "--nodes", type=size, default=(45, 23), metavar="NHxND",
+        help="of theta_h, at equal steps of its root, and of theta_d (default: 45x23)",
+    )  # fmt: skip
+    fit.add_argument(
+        "--smoothness", type=float, default=1.0, metavar="S", help="larger is smoother (default: 1)"
+    )
+    fit.add_argument("--plain", action="store_true", help="weigh all pixels alike, outliers too")
+    fit.add_argument(
+        "--samples",
+        type=_whole(1),
+        default=2500,
+        metavar="N",
+        help="pixels of an image, at most (default: 2500)",
+    )
+    fit.add_argument(
+        "--levels", type=_whole(2, 8), default=6, metavar="R", help="light on 4^R directions (default: 6)"
+    )
+    fit.add_argument("--smooth", action="store_true", help="vertex normals averaged over the faces")
+    _device(fit)
+    _common(fit)
+    fit.set_defaults(run=_fit)
 
 
 def _view_parser(commands: Any) -> None:
@@ -382,6 +416,11 @@ def _render(options: argparse.Namespace) -> int:
 def _bake(options: argparse.Namespace) -> int:
     _require_ending(options.output, ".npz", ", by which `prtcl render` knows a bake")
     return _command("bake", _LATER)(options)
+
+
+def _fit(options: argparse.Namespace) -> int:
+    _require_ending(options.output, ".npz", ", by which --brdf table: reads it")
+    return _command("fit")(options)
 
 
 def _view(options: argparse.Namespace) -> int:
