@@ -38,6 +38,13 @@ SCENES = {
 SIZE, NOISE, SEED, VIEWS = (160, 120), 0.01, 7, 5
 
 
+def material_of(spec: str) -> prtcl.Material:
+    """A SPEC, or `merl:NAME` for a fitted measurement in two angles."""
+    if spec.startswith("merl:"):
+        return networks.measured("merl", spec[5:]).bivariate().material()
+    return prtcl.Material.parse(spec)
+
+
 def cameras(mesh: prtcl.Mesh) -> list[Camera]:
     """Five around the mesh at two heights, and the sixth between them."""
     centre = tuple(mesh.bounds.mean(axis=0))
