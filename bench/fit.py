@@ -6,8 +6,9 @@ The images are `Scene.render` at its defaults, from the material itself, which k
 each value has Gaussian noise of one percent of itself and of its image's mean (root of the squares' sum), seeded. The
 sixth view is rendered once with the true material and once with the table, at the same defaults; `error` is their
 relative RMSE over covered pixels and channels, and `floor` that of the material's own table, its mean over φ_d on the
-fit's nodes: GGX's masking depends on φ_d, Blinn's lobe does not. Measured materials are those of ../shared/data/brdfs in two angles. The
-scene `tune` is the one that smoothness, weights and nodes were chosen on; `report` was left alone until they were.
+fit's nodes: GGX's masking depends on φ_d, Blinn's lobe does not. Measured materials are those of ../shared/data/brdfs
+in two angles. The scene `tune` is the one that smoothness, weights and nodes were chosen on; `report` was left alone
+until they were.
 """
 
 from __future__ import annotations
