@@ -304,7 +304,7 @@ def ggx_distribution(cosine_h: Array, alpha: float) -> Array:
 
 def smith_g1(cosine: Array, alpha: float) -> Array:
     """Smith's masking for GGX: 2 / (1 + √(1 + α² tan²θ))."""
-    c2 = np.maximum(cosine, 1e-12) ** 2
+    c2 = np.maximum(cosine, 1e-150) ** 2
     return np.asarray(2.0 / (1.0 + np.sqrt(1.0 + alpha**2 * (1.0 - c2) / c2)))
 
 

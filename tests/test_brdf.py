@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 from tolerances import assert_close
 
 from prtcl import quadtree, reference
+from prtcl.apps.stress.oracle import brdf_bound
+from prtcl.apps.stress.oracle import ggx_albedo as albedo
 from prtcl.compute.device import Device
 from prtcl.errors import DeviceError, InputError
 from prtcl.factors import hemisphere, material
@@ -79,36 +81,13 @@ def direction_pairs(where: str, count: int = 997) -> tuple[NDArray[np.float64], 
 
 
 def bound_of(m: Material, i: NDArray[np.float64], o: NDArray[np.float64], u: float) -> NDArray[np.float64]:
-    """`tolerances.brdf` for the device, and what the float64 reference itself loses."""
-    if m.kind == "measured":
-        own = MEASURED[m.spec]
-        h, d, turn = reference.difference_angles(*np.broadcast_arrays(i, o))
-        share = own.weighted(h, d, turn)[..., 3]
-        bound = tolerances.measured_lookup(own.values, own.theta_h, own.theta_d, u, (h, d), share)
-        return bound[:, None]
-    if m.table is not None:
-        _, cos_d = reference.half_angles(i, o)
-        return tolerances.table_lookup(**m.table, u=u, cos_d=cos_d)[:, None]
-    cos_h, _ = reference.half_angles(i, o)
-    ours = 2.0**-53
-    diffuse = np.broadcast_to(np.asarray(m.numbers.get("kd", m.numbers.get("albedo", 0.0))) / np.pi, (1, 3))
-    if m.kind == "lambert":
-        return tolerances.brdf("lambert", 0.0, diffuse, u)
-    if m.kind == "blinn":
-        n = m.numbers["exponent"]
-        lobe = reference.brdf({"kind": "blinn", "exponent": n, "ks": 1.0}, i, o)
-        tan2 = (1 - cos_h**2) / np.maximum(cos_h, 1e-9) ** 2
-        # cos^n moves by n u of the cosine in the reference.
-        # An exponential below the smallest normal number may become 0.
-        tiny = float(np.finfo(np.float32 if u > 1e-10 else np.float64).tiny) * (n + 6)
-        return (
-            tolerances.brdf("blinn", lobe, diffuse, u, (n / 2 * tan2)[:, None]) + 8 * n * ours * lobe + tiny
-        )
-    alpha = m.numbers["alpha"]
-    lobe = reference.brdf({"kind": "ggx", "alpha": alpha, "f0": 1.0}, i, o)
-    # The reference's sin² = 1 − cos² errs by 8 u of 1 (cos is good to 4 u), in a denominator that is squared.
-    denominator = cos_h**2 * alpha**2 + (1 - cos_h**2)
-    return tolerances.brdf("ggx", lobe, diffuse, u) + lobe * (16 * ours / denominator)[:, None]
+    """`brdf_bound` of the device; of measured materials, whose tables it does not know, the table's own."""
+    if m.kind != "measured":
+        return brdf_bound(m, i, o, u)
+    own = MEASURED[m.spec]
+    h, d, turn = reference.difference_angles(*np.broadcast_arrays(i, o))
+    share = own.weighted(h, d, turn)[..., 3]
+    return tolerances.measured_lookup(own.values, own.theta_h, own.theta_d, u, (h, d), share)[:, None]
 
 
 @pytest.mark.parametrize("where", ["random", "grazing", "near the mirror"])
@@ -227,26 +206,6 @@ def test_sharper_lobes_take_more_subsamples() -> None:
     assert depth(0.001, 3) == 4
     assert depth(1.0, 7) == 1
     assert depth(0.1, 3) >= depth(0.1, 6)
-
-
-def albedo(alpha: float, view: NDArray[np.float64]) -> float:
-    """∫ f cos of GGX with f0 = 1 in float64: over half-vectors, stratified by the density D cos, 400 × 256 of them.
-
-    With dω_i = 4 (o·h) dω_h what is left of f cos is G1(i) G1(o) (o·h) / (cos_o cos_h), smooth however sharp the lobe.
-    """
-    u, phi = (np.arange(400) + 0.5)[:, None] / 400, (np.arange(256) + 0.5) * 2 * np.pi / 256
-    cos_h = 1 / np.sqrt(1 + alpha**2 * u / (1 - u))
-    sin_h = np.sqrt(1 - cos_h**2)
-    h = np.stack([sin_h * np.cos(phi), sin_h * np.sin(phi), cos_h + 0 * phi], axis=-1)
-    along = h @ view
-    incident = 2 * along * h[..., 2] - view[2]  # its cosine
-    seen = (along > 0) & (incident > 0)
-
-    def smith(cosine: NDArray[np.float64]) -> NDArray[np.float64]:
-        return 2 / (1 + np.sqrt(1 + alpha**2 * (1 / cosine**2 - 1)))
-
-    shadowing = smith(np.where(seen, incident, 1.0)) * smith(view[2])
-    return float(np.where(seen, shadowing * along / (view[2] * cos_h), 0.0).mean())
 
 
 @pytest.mark.parametrize("colour", ["f0=1", "f0=1/1/1,kd=0/0/0.1"])

@@ -1,4 +1,4 @@
-"""The command line: `prtcl demo | render | bake | fit | view | brdf | bench | devices`.
+"""The command line: `prtcl demo | render | bake | fit | view | brdf | bench | stress | devices`.
 
 Exit status: 0 done, 1 the job failed, 2 the input or the command line was wrong. An error is one or two lines that
 name the file or the option and say what to do.
@@ -150,6 +150,7 @@ def parser() -> Parser:
     _view_parser(commands)
     _brdf_parser(commands)
     _bench_parser(commands)
+    _stress_parser(commands)
 
     devices = commands.add_parser("devices", help="what OpenCL sees, which is used, why")
     devices.add_argument("--device", metavar="SPEC", help="see what a SPEC would choose")
@@ -299,6 +300,36 @@ def _bench_parser(commands: Any) -> None:
     bench.set_defaults(run=_bench)
 
 
+def _stress_parser(commands: Any) -> None:
+    stress = commands.add_parser(
+        "stress", help="numerical stability: stiff and extreme cases against float64, with their bounds"
+    )
+    stress.add_argument("--cases", nargs="+", metavar="NAME", help="only these (default: all)")
+    stress.add_argument(
+        "--precision", nargs="+", choices=("float32", "mixed", "float64"),
+        help="of the device (default: all that it has)",
+    )  # fmt: skip
+    stress.add_argument(
+        "--levels", type=_whole(3, 9), default=9, metavar="R",
+        help="of the deepest tree, 3 to 9 (default: %(default)s)",
+    )  # fmt: skip
+    stress.add_argument(
+        "--points", type=_whole(2), default=1_000_000, metavar="N",
+        help="points of identical data (default: %(default)s)",
+    )  # fmt: skip
+    stress.add_argument(
+        "-o", "--output", metavar="DIR", help="stress.json, stress.md and plots (default: none)"
+    )
+    stress.add_argument("--no-plots", action="store_true", help="write no plots, which take matplotlib")
+    _device(stress)
+    stress.add_argument("--quiet", action="store_true", help="no table")
+    stress.add_argument("--markdown", action="store_true", help="the table as Markdown on standard output")
+    stress.add_argument(
+        "--json", action="store_true", help="the result as JSON on standard output, and no table"
+    )
+    stress.set_defaults(run=_stress)
+
+
 def _whole(least: int, most: int | None = None) -> Callable[[str], int]:
     """A type of argument: whole numbers of a range."""
 
@@ -433,6 +464,10 @@ def _brdf(options: argparse.Namespace) -> int:
 
 def _bench(options: argparse.Namespace) -> int:
     return _command("bench.command")(options)
+
+
+def _stress(options: argparse.Namespace) -> int:
+    return _command("stress.command")(options)
 
 
 def _devices(options: argparse.Namespace) -> int:

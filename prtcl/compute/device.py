@@ -6,7 +6,7 @@ import os
 import tempfile
 import threading
 import warnings
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Sequence
 from functools import cached_property
 from types import TracebackType
 from typing import Any
@@ -42,6 +42,8 @@ class Device:
     queue : a caller's own `pyopencl.CommandQueue`; its context and device are used and never released here.
         It must execute in order.
     precision : "float32"; "mixed" stores float32 and sums in float64; "float64"
+    build_options : more options for the OpenCL compiler, such as -cl-fast-relaxed-math; `prtcl stress` measures what
+        they do to answers
 
     Raises
     ------
@@ -56,7 +58,10 @@ class Device:
     buffers belong to one context, and `array` says so.
     """
 
-    def __init__(self, spec: str | None = None, *, queue: Any = None, precision: str = "float32") -> None:
+    def __init__(
+        self, spec: str | None = None, *, queue: Any = None, precision: str = "float32",
+        build_options: Sequence[str] = (),
+    ) -> None:  # fmt: skip
         import pyopencl as cl
         from pyopencl.tools import ImmediateAllocator, MemoryPool
 
@@ -74,7 +79,7 @@ class Device:
             self.context, self.queue, self.reason = queue.context, queue, "the caller's queue"
         self.handle = self.queue.device
         self.name: str = self.handle.name.strip()
-        self.precision = precision
+        self.precision, self.build_options = precision, tuple(build_options)
         self.real, self.accumulator, dtype = PRECISIONS[precision]
         self.dtype: npt.DTypeLike = dtype
         if "double" in (self.real, self.accumulator) and "cl_khr_fp64" not in self.handle.extensions:
@@ -250,7 +255,7 @@ class Device:
                 # Several drivers fill the log of every good build; a bad one raises below.
                 warnings.simplefilter("ignore", cl.CompilerWarning)
                 program = cl.Program(self.context, source).build(
-                    options=["-cl-std=CL1.2", *defines.options], devices=[self.handle]
+                    options=["-cl-std=CL1.2", *self.build_options, *defines.options], devices=[self.handle]
                 )
         except cl.Error as error:
             handle, path = tempfile.mkstemp(prefix="prtcl-", suffix=".cl")

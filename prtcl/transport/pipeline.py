@@ -87,7 +87,7 @@ class Pipeline:
     ) -> None:
         self.device, self.settings, self.budget = device, settings, budget
         with device.profile.host("split_light"):
-            self.unit = _unit(environment)
+            self.unit = unit_of(environment)
             scaled = replace(environment, image=environment.image / np.float32(self.unit))
             self.light = scaled.split(settings.levels, settings.hard)
         self.materials = Materials(device, materials)
@@ -199,7 +199,7 @@ class Pipeline:
             out[part] = wait()[:, :3] * self.unit
 
 
-def _unit(environment: Environment) -> float:
+def unit_of(environment: Environment) -> float:
     """The power of two that radiance is stored in: 1 but for light so bright or dim that sums leave float32's range."""
     largest = float(environment.image.max(initial=0.0))
     return 1.0 if largest == 0.0 or 2.0**-60 < largest < 2.0**60 else 2.0 ** (math.frexp(largest)[1] - 1)

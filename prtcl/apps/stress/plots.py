@@ -1,0 +1,116 @@
+"""Pictures of a stress result: errors against bounds, and against the depth of the tree."""
+
+from __future__ import annotations
+
+import re
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from prtcl.errors import InputError
+from prtcl.files.atomic import replacing
+
+Row = dict[str, Any]
+KINDS = ("png", "svg")
+MARKS = {"float32": "o", "mixed": "s", "float64": "^"}
+
+
+def require() -> None:
+    """Refuse to begin a run whose pictures could not be made.
+
+    Raises
+    ------
+    InputError
+        If matplotlib is not installed.
+    """
+    try:
+        import_module("matplotlib")
+    except ImportError as error:
+        raise InputError(
+            f"--output: the plots need matplotlib, which is not there ({error})\n"
+            "pip install 'prtcl[plots]', or --no-plots"
+        ) from error
+
+
+def write(result: Row, folder: Path) -> list[Path]:
+    """Write bounds and, where some trials ran at several depths, depth: .png and .svg of each.
+
+    Raises
+    ------
+    InputError
+        If matplotlib is not installed, or a file cannot be written.
+    """
+    require()
+    rows = [row for row in result["rows"] if row["error"] and row["bound"]]
+    figures = {"bounds": _bounds(result, rows)}
+    if len({_depth(row) for row in rows} - {None}) > 1:
+        figures["depth"] = _depths(result, rows)
+    written = []
+    for name, figure in figures.items():
+        for kind in KINDS:
+            with replacing(folder / f"{name}.{kind}") as aside:
+                figure.savefig(aside, dpi=150)
+            written.append(folder / f"{name}.{kind}")
+    return written
+
+
+def _depth(row: Row) -> int | None:
+    found = re.fullmatch(r"R = (\d+)", row["at"])
+    return int(found[1]) if found else None
+
+
+def _figure() -> Any:
+    """A figure of its own: nothing of pyplot's, which holds on to figures and asks for a screen."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(12, 6.5), layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def _bounds(result: Row, rows: list[Row]) -> Any:
+    """Every trial's error against its bound; what lies above the line is beyond it."""
+    figure = _figure()
+    axes = figure.add_subplot()
+    for number, title in enumerate(dict.fromkeys(row["title"] for row in rows)):
+        for precision, mark in MARKS.items():
+            own = [row for row in rows if (row["title"], row["precision"]) == (title, precision)]
+            axes.loglog(
+                [row["bound"] for row in own], [row["error"] for row in own], mark, color=f"C{number % 10}",
+                alpha=0.6, label=title if precision == "float32" else None,
+            )  # fmt: skip
+    ends = [1e-17, 10.0]
+    axes.loglog(ends, ends, color="black", label="error = bound")
+    axes.set_xlabel("bound, relative (round: float32, square: mixed, triangle: float64)")
+    axes.set_ylabel("error, relative")
+    axes.set_title(f"{result['device']}, {result['platform']}")
+    axes.grid(alpha=0.3)
+    figure.legend(loc="outside right upper", fontsize="small")
+    return figure
+
+
+def _depths(result: Row, rows: list[Row]) -> Any:
+    """Errors of float32 against the levels of the tree: a panel a case, a line a trial, its bound dotted."""
+    figure = _figure()
+    deep = [row for row in rows if _depth(row) is not None and row["precision"] == "float32"]
+    titles = [
+        t
+        for t in dict.fromkeys(row["title"] for row in deep)
+        if len({_depth(r) for r in deep if r["title"] == t}) > 1
+    ]
+    panels = figure.subplots(1, max(1, len(titles)), squeeze=False)[0]
+    for axes, title in zip(panels, titles, strict=False):
+        inside = [row for row in deep if row["title"] == title]
+        for number, what in enumerate(dict.fromkeys(row["what"] for row in inside)):
+            own = [row for row in inside if row["what"] == what]
+            at, colour = [_depth(row) for row in own], f"C{number % 10}"
+            axes.semilogy(at, [row["error"] for row in own], "o-", color=colour, label=what)
+            axes.semilogy(at, [row["bound"] for row in own], ":", color=colour)
+        axes.set_title(title, fontsize="x-small", wrap=True)
+        axes.set_xlabel("levels of the tree")
+        axes.grid(alpha=0.3)
+        axes.legend(fontsize="xx-small", loc="upper center", bbox_to_anchor=(0.5, -0.18))
+    panels[0].set_ylabel("error of float32, relative; bounds are dotted")
+    figure.suptitle(f"{result['device']}, {result['platform']}")
+    return figure
