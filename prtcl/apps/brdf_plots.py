@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from prtcl.errors import InputError
 from prtcl.factors.bivariate import directions
+from prtcl.factors.material import MEASURED
 from prtcl.factors.measured import Measured
 from prtcl.factors.reduction import Brdf, in_two_angles
 from prtcl.factors.sampled_albedo import sampled_albedo
@@ -124,6 +125,7 @@ def _lobes(name: str, f: Brdf) -> Any:
             grid, np.cbrt(lobe(f, angle, grid)), color=f"C{number}", label=f"{degrees:g}°", linewidth=1.2
         )
         axes.axvline(-angle, color=f"C{number}", linestyle=":", linewidth=1.0)
+    axes.set_rticks(axes.get_yticks()[::2])  # more labels run into each other
     figure.suptitle(f"{_short(name)}: ∛ of f's luminance in the plane of incidence")
     figure.legend(loc="lower center", title="light from (dotted)", ncols=len(INCIDENCE))
     return figure
@@ -147,6 +149,6 @@ def _albedo(name: str, f: Brdf) -> Any:
 
 
 def _short(name: str) -> str:
-    """A SPEC with its file's name only."""
+    """A SPEC with its file's name only; one of numbers, r/g/b among them, as it is."""
     kind, colon, rest = name.partition(":")
-    return f"{kind}{colon}{Path(rest).name}" if "/" in rest or "\\" in rest else name
+    return f"{kind}{colon}{Path(rest).name}" if kind in (*MEASURED, "table") else name
