@@ -29,6 +29,9 @@
 #ifndef GROUP
   #define GROUP 64      // work-items a group
 #endif
+#ifndef LONG
+  #define LONG 64       // nodes of a cut from which its sums do not stay in a CPU's caches between points
+#endif
 
 // Launch: n_points work-items in x, nodes in y.
 kernel __attribute__((reqd_work_group_size(GROUP, 1, 1)))
@@ -65,9 +68,14 @@ void shade_hard_cut(const global int *restrict ints, const global REAL *restrict
     const int point = chosen[item], own = material[point];
     const global REAL *frame = frames + 9 * (size_t)point;
     const REAL4 outgoing = views[item];
+    const int first = starts[own], last = starts[own + 1];
+    const int far = last - first > LONG;
     ACC4 sum = (ACC4)((ACC)0);
-    for (int k = starts[own]; k < starts[own + 1]; ++k) {
+    for (int k = first; k < last; ++k) {
         const int node = list[k];
+        // Nodes' rows lie a mesh apart: of a long list the next one's is fetched ahead.
+        if (far)
+            prefetch(sums + (size_t)list[min(k + 1, last - 1)] * n_all + point, 1);
         const uint packed = sums[(size_t)node * n_all + point];
         const REAL4 incident = to_local(frame, centres[node]);
         const float4 energy = unpack_rgb(packed);
