@@ -35,8 +35,8 @@ SCENES = {
              ("lambert:albedo=0.7/0.3/0.1", "ggx:alpha=0.25,f0=0.04,kd=0.3/0.2/0.1", "ggx:alpha=0.3,eta=0.2,k=3.0",
               "ggx:alpha=0.2,f0=0.9/0.6/0.3", "merl:nickel", "merl:silver-metallic-paint", "merl:dark-red-paint")),
     "report": ("stanford_bunny", "modern_buildings_2", "st_peters_square_night",
-               ("lambert:albedo=0.5", "blinn:exponent=200,ks=0.5,kd=0.1", "ggx:alpha=0.3,eta=0.2,k=3.0",
-                "merl:pearl-paint", "merl:gold-metallic-paint")),
+               ("lambert:albedo=0.5", "ggx:alpha=0.3,f0=0.04,kd=0.5", "blinn:exponent=200,ks=0.5,kd=0.1",
+                "ggx:alpha=0.3,eta=0.2,k=3.0", "merl:pearl-paint", "merl:gold-metallic-paint")),
 }  # fmt: skip
 SIZE, NOISE, SEED, VIEWS = (160, 120), 0.01, 7, 5
 
