@@ -186,3 +186,33 @@ def test_a_file_whose_path_has_a_colon(tmp_path: Path) -> None:
     path = tmp_path / "a:b.npz"
     Bivariate.make(np.full((2, 2, 3), 0.1), [0.0, 1.5], [0.0, 1.5]).save(path)
     assert brdf.load(str(path)).kind == "table"
+
+
+def test_a_sharp_lobe_is_written_on_nodes_that_hold_it_or_with_a_note(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    spec = "ggx:alpha=0.002,f0=0.9"
+    table = summary(capsys, spec, "--write", tmp_path / "sharp.npz")
+    assert not any("too coarse" in note for note in table["notes"])
+    assert Bivariate.load(tmp_path / "sharp.npz").theta_h.size > 90
+    merl = summary(capsys, spec, "--write", tmp_path / "sharp.binary")
+    assert any("too coarse for this lobe" in note for note in merl["notes"])
+
+
+def test_what_a_table_was_not_told_is_invalid_in_merls_layout(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    valid = np.ones((3, 3), np.bool_)
+    valid[2, 0] = False
+    Bivariate.make(np.full((3, 3), 0.2), [0.0, 0.7, 1.5], [0.0, 0.7, 1.5], valid).save(tmp_path / "t.npz")
+    run(capsys, tmp_path / "t.npz", "--write", tmp_path / "t.binary")
+    _, kept = read_merl(tmp_path / "t.binary")
+    assert not kept[89, 0].any() and kept[0, 0].any() and kept[0, 60].any()
+
+
+def test_values_that_no_device_holds_are_refused(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    write_merl(tmp_path / "huge.binary", np.full((90, 90, 180, 3), 1e36))
+    np.savez(tmp_path / "huge.npz", values=np.full((2, 2, 3), 1e36), theta_h=[0.0, 1.5], theta_d=[0.0, 1.5])
+    for name in ("huge.binary", "huge.npz"):
+        status, _, told = run(capsys, tmp_path / name)
+        assert status == 2 and f"{name}: values expected below 1e+30 1/sr, got up to 1e+36" in told

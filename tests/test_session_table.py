@@ -124,3 +124,10 @@ def test_cuts_of_many_edits_do_not_pile_up(own: Session, monkeypatch: pytest.Mon
         own.edit(lambda table, step=step: table.sharpened(1.0 + 0.1 * step))
         assert np.isfinite(own.view().image).all()
     assert len(own._relit._cuts) <= 3 and len(own._relit._tried) <= 3
+
+
+def test_an_edit_that_returns_no_table_is_refused(own: Session) -> None:
+    before = own.materials
+    with pytest.raises(InputError, match="edit: expected the function to return a table, got NoneType"):
+        own.edit(lambda table: None)  # type: ignore[arg-type, return-value]
+    assert own.materials == before

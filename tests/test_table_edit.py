@@ -15,7 +15,16 @@ from prtcl.factors import table_parts
 from prtcl.factors.albedo import INCIDENCES, albedo, energy
 from prtcl.factors.bivariate import Bivariate, merl_nodes
 from prtcl.factors.table import Table
-from prtcl.factors.table_edit import blend, marginal_h, paint, replace_theta_h, resample, scale, tint
+from prtcl.factors.table_edit import (
+    blend,
+    conserve,
+    marginal_h,
+    paint,
+    replace_theta_h,
+    resample,
+    scale,
+    tint,
+)
 from prtcl.factors.table_parts import balance, fresnel, marginal_d, replace_fresnel, sharpen, split
 from prtcl.factors.tabulate import tabulate
 
@@ -326,3 +335,11 @@ def test_a_table_is_edited_in_a_chain_and_saved(tmp_path: Path) -> None:
 def test_what_is_wrong_is_named(edit: Callable[[Bivariate], Bivariate], message: str) -> None:
     with pytest.raises(InputError, match=message):
         edit(scale(tabulate(GOLD), 1e3))
+
+
+def test_a_table_a_little_too_bright_is_scaled_to_an_energy_of_one() -> None:
+    own = scale(tabulate("lambert:albedo=1"), 1.2)
+    assert energy(own)[0] == pytest.approx(1.2, rel=1e-3)
+    assert energy(conserve(own))[0] == pytest.approx(1.0, rel=1e-12)
+    half = scale(own, 0.5)
+    assert conserve(half) is half

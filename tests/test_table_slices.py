@@ -78,3 +78,16 @@ def test_what_is_wrong_is_named(device: Device) -> None:
     for bad in (np.nan, -1.0):
         with pytest.raises(InputError, match="expected finite reflectance, 0 or more"):
             kept.edit(slice(0, 1), slice(0, 1), bad)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_scattered_edits_give_the_bits_of_a_full_rebuild(device: Device, seed: int) -> None:
+    """Nodes here and there: the corner nodes of a cell's rectangle count as those within it."""
+    kept, table = made(device)
+    rng = np.random.default_rng(seed)
+    for _ in range(2):
+        values = kept.values.copy()
+        some = rng.integers(0, 90, (2, 12))
+        values[some[0], some[1]] = rng.random((12, 3)) * 7.0
+        kept.update(values)
+        np.testing.assert_array_equal(kept.coefficients.get(), rebuilt(device, table, values))

@@ -21,6 +21,8 @@ from prtcl.factors.measured import MERL_TURNS, Measured, turns
 from prtcl.factors.measured_files import EXTENSIONS, read_measured
 from prtcl.factors.reduction import Brdf, in_two_angles, reduction_error
 from prtcl.factors.sampled_albedo import sampled_albedo
+from prtcl.factors.table_edit import resample
+from prtcl.factors.tabulate import tabulate
 from prtcl.files.atomic import check_not_input, check_writable, made_folder
 from prtcl.files.merl import SHAPE, write_merl
 
@@ -41,18 +43,25 @@ class Subject:
     table: Bivariate | None
     notes: tuple[str, ...]
     path: str | None = None
+    material: Material | str = ""
 
     def three_angles(self) -> Measured:
-        """What it is in MERL's layout."""
+        """What it is in MERL's layout; what a table was not told is not measured there either."""
         if self.measured is not None and self.measured.valid.shape == SHAPE:
             return self.measured
-        return Measured.sample(self.f, name=self.name)
+        own = Measured.sample(self.f, name=self.name)
+        if self.table is None or self.table.valid.all():
+            return own
+        near = resample(self.table, own.theta_h, own.theta_d)
+        return Measured.make(
+            own.values, own.theta_h, own.theta_d, own.valid & near.valid[..., None], name=self.name
+        )
 
     def two_angles(self) -> Bivariate:
         """What it is without φ_d."""
         if self.table is not None:
             return self.table
-        return (self.measured or self.three_angles()).bivariate()
+        return self.measured.bivariate() if self.measured is not None else tabulate(self.material)
 
 
 def run(options: argparse.Namespace) -> int:
@@ -75,11 +84,21 @@ def run(options: argparse.Namespace) -> int:
         check_not_input(options.write, subject.path)
     figures = summary(subject)
     if options.write is not None:
+        written: Brdf
         if ending == ".npz":
-            subject.two_angles().save(options.write)
+            table = subject.two_angles()
+            table.save(options.write)
+            written = in_two_angles(table)
         else:
             own = subject.three_angles()
             write_merl(options.write, own.values, own.valid)
+            written = own.evaluate
+        before, after = (sampled_albedo(f, np.radians(ANGLES)) for f in (subject.f, written))
+        off = float(np.abs(after - before).max() / max(float(before.max()), 1e-30))
+        if off > 0.01:
+            figures["notes"].append(
+                f"{options.write}: its nodes are too coarse for this lobe: albedos are off by {100 * off:.2g} %"
+            )
     if options.output is not None:
         folder = made_folder(options.output)
         figures["plots"] = [
@@ -120,7 +139,9 @@ def load(given: str) -> Subject:
             )
         return Subject(given, kind, found.evaluate, found, None, found.notes, found.name)
     material = Material.parse(given)
-    return Subject(given, material.kind, partial(evaluate, material), None, None, material.notes)
+    return Subject(
+        given, material.kind, partial(evaluate, material), None, None, material.notes, None, material
+    )
 
 
 def summary(subject: Subject) -> dict[str, Any]:
@@ -149,7 +170,7 @@ def summary(subject: Subject) -> dict[str, Any]:
         for angle, row in zip(ANGLES, sampled_albedo(subject.f, np.radians(ANGLES)), strict=True)
     }
     steps = np.linspace(0.0, STEEPEST, 18)
-    every = sampled_albedo(subject.f, np.radians(steps), samples=48)
+    every = sampled_albedo(subject.f, np.radians(steps))
     at = np.unravel_index(int(every.argmax()), every.shape)
     out["largest_albedo"], out["largest_albedo_at"] = float(every.max()), float(steps[at[0]])
     # A hundredth is what the quadrature may be off by.
@@ -169,8 +190,8 @@ def text(figures: dict[str, Any]) -> str:
         lines.append(f"  albedo at {angle:>2} degrees  " + "  ".join(f"{v:.4f}" for v in rgb))
     kept = "conserves energy" if figures["conserves_energy"] else "reflects more than it receives"
     lines.append(
-        f"  {kept}: albedo up to {figures['largest_albedo']:.4f}, at {figures['largest_albedo_at']:g} of "
-        f"{STEEPEST:g} degrees"
+        f"  {kept}: albedo up to {figures['largest_albedo']:.4f}, at {figures['largest_albedo_at']:g} degrees, of all "
+        f"up to {STEEPEST:g}"
     )
     lines.append(f"  largest value {figures['largest']:.4g} /sr")
     if "two_angles" in figures:

@@ -169,7 +169,7 @@ def _fit_parser(commands: Any) -> None:
     )  # fmt: skip
     fit.add_argument("-o", "--output", required=True, metavar="TABLE.npz", help="for --brdf table:TABLE.npz")
     fit.add_argument(
-        "--nodes", type=size, default=(45, 23), metavar="NHxND",
+        "--nodes", type=_nodes, default=(45, 23), metavar="NHxND",
         help="of theta_h, at equal steps of its root, and of theta_d (default: 45x23)",
     )  # fmt: skip
     fit.add_argument(
@@ -341,6 +341,16 @@ def _whole(least: int, most: int | None = None) -> Callable[[str], int]:
         return value
 
     return whole
+
+
+def _nodes(text: str) -> tuple[int, int]:
+    """Nodes of theta_h and theta_d; the fit solves for all at once, so that there are few thousand."""
+    parts = text.lower().split("x")
+    if len(parts) != 2 or not all(part.isdigit() and 2 <= int(part) <= 512 for part in parts):
+        raise argparse.ArgumentTypeError(f"expected two numbers of nodes such as 45x23, got {text!r}")
+    if int(parts[0]) * int(parts[1]) > 6000:
+        raise argparse.ArgumentTypeError(f"expected at most 6000 nodes together, got {text}")
+    return int(parts[0]), int(parts[1])
 
 
 def _gibibytes(text: str) -> float:

@@ -78,7 +78,7 @@ def read_views(path: str) -> list[dict[str, Any]]:
         found = json.loads(Path(path).read_text(encoding="utf-8"))
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from error
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise InputError(f"{path}: expected a JSON list of views ({error})") from error
     if not isinstance(found, list) or not found or not all(isinstance(entry, dict) for entry in found):
         raise InputError(f"{path}: expected a JSON list of views, {{image, env, eye, target, fov, …}} each")
@@ -89,7 +89,10 @@ def read_views(path: str) -> list[dict[str, Any]]:
         if missing or unknown:
             what = f"{missing[0]} is missing" if missing else f"{sorted(unknown)[0]} is unknown"
             raise InputError(f"{where}: {what}\nit takes {', '.join(sorted(KEYS))}")
-        own: dict[str, Any] = {key: str(folder / str(entry[key])) for key in ("image", "env")}
+        for key in ("image", "env"):
+            if not isinstance(entry[key], str) or not entry[key]:
+                raise InputError(f"{where}: {key} expected a file's name, got {entry[key]}")
+        own: dict[str, Any] = {key: str(folder / entry[key]) for key in ("image", "env")}
         for key, default in (("eye", None), ("target", None), ("up", (0.0, 1.0, 0.0))):
             value = entry.get(key, default)
             if not isinstance(value, list | tuple) or len(value) != 3 or not all(map(_number, value)):
@@ -104,4 +107,4 @@ def read_views(path: str) -> list[dict[str, Any]]:
 
 
 def _number(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool)
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < 1e30

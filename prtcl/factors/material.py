@@ -28,6 +28,8 @@ FORMS = (
 )
 MEASURED = ("merl", "rgl", "utia")
 """Measured formats, each a kind of SPEC."""
+LARGEST = 1e30
+"""Of a table's values, 1/sr: devices keep them in float32, and multiply them by light."""
 MESH = "mesh"
 """A colour that is the mesh's own: albedo=mesh, or kd=0.8*mesh."""
 # Parameter: (lowest, highest, default; None must be given). Ranges that conserve energy or are physical.
@@ -343,6 +345,8 @@ def from_table(
     if bad.any():
         first = tuple(int(i) for i in np.argwhere(bad)[0])
         raise InputError(f"{name}: {int(bad.sum())} values are NaN or infinite, the first at {first}")
+    if np.abs(table).max(initial=0.0) > LARGEST:
+        raise InputError(f"{name}: values expected below {LARGEST:g} 1/sr, got up to {np.abs(table).max():g}")
     notes: tuple[str, ...] = ()
     negative = int((table < 0).sum())
     if negative:

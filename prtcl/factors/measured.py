@@ -16,7 +16,7 @@ import numpy.typing as npt
 from prtcl.errors import InputError
 from prtcl.factors import three_angles
 from prtcl.factors.bivariate import Bivariate, directions, interval, merl_nodes
-from prtcl.factors.material import Material
+from prtcl.factors.material import LARGEST, Material
 
 MERL_TURNS = 180
 """Bins of φ_d in MERL's layout, over half a turn."""
@@ -96,6 +96,10 @@ class Measured:
             raise InputError(f"{name}: valid expected bool {table.shape[:3]}, got {mask.dtype} {mask.shape}")
         if not np.isfinite(table[mask]).all():
             raise InputError(f"{name}: expected finite values; some are NaN or infinite")
+        if np.abs(table[mask]).max(initial=0.0) > LARGEST:
+            raise InputError(
+                f"{name}: values expected below {LARGEST:g} 1/sr, got up to {np.abs(table[mask]).max():g}"
+            )
         with np.errstate(invalid="ignore"):
             negative = mask & (table < 0).any(axis=-1)
         mask = mask & ~negative

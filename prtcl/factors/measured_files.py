@@ -48,7 +48,7 @@ def read_measured(spec: str) -> Measured | Bivariate:
         As `read_spec`.
     """
     kind, _, rest = spec.partition(":")
-    match = re.fullmatch(r"(.*?)(?:,\s*angles=([^,]*))?", rest, re.DOTALL)
+    match = re.fullmatch(r"(.*?)(?:,\s*angles=(\w*))?", rest, re.DOTALL)
     assert match is not None  # the pattern takes any text
     path, angles = match.group(1), match.group(2)
     if kind not in MEASURED or not path:

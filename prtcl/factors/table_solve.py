@@ -55,6 +55,7 @@ class Solution:
     values : (nh, nd, channels) ≥ 0
     deviation : (nh, nd) standard deviation of a value over the value, the worst channel's: what noise and the
         smoothness leave open
+    alone : (nh, nd) the same by the measurements without the smoothness, were all other values known
     read : (nh, nd) bool, whether any measurement depends on the node
     weights : (n,) in [0, 1], the last ones: 0 is an outlier
     predicted : (n, channels) A f̃
@@ -64,6 +65,7 @@ class Solution:
 
     values: Array
     deviation: Array
+    alone: Array
     read: npt.NDArray[np.bool_]
     weights: Array
     predicted: Array
@@ -104,7 +106,7 @@ def solve(
     predicted = sums * x[:, 0]
     floor = FLOOR * np.maximum(np.abs(b).mean(axis=0), 1e-30)
     weights = np.ones(len(b))
-    deviation = np.empty_like(x)
+    deviation, alone = np.empty_like(x), np.empty_like(x)
     done = last = 0
     settled = False
     while done < rounds and last < LAST:
@@ -124,6 +126,7 @@ def solve(
             per_row = weights / (noise * spread[:, c]) ** 2
             normal, right = _normal(rows[:, own[c]], b[:, c], per_row)
             x[c], deviation[c] = _minimum(normal + smoothness * roughness, right + smoothness * pull, size)
+            alone[c] = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300)) / size
             predicted[:, c] = _product(rows[:, own[c]], x[c])
         moved = np.sqrt((((predicted - before) / spread) ** 2).mean())
         settled = settled or moved < SETTLED * noise
@@ -131,8 +134,8 @@ def solve(
             break
     read = np.any([np.asarray(rows[:, c] != 0).any(axis=0) for c in set(own)], axis=0)
     return Solution(
-        x.T.reshape(*shape, channels), deviation.max(axis=0).reshape(shape), read.reshape(shape), weights,
-        predicted, noise, done,
+        x.T.reshape(*shape, channels), deviation.max(axis=0).reshape(shape), alone.max(axis=0).reshape(shape),
+        read.reshape(shape), weights, predicted, noise, done,
     )  # fmt: skip
 
 

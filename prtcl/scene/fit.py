@@ -47,6 +47,8 @@ little of the others, and an error in what is known of a pixel blurs the table."
 RAYS = 5
 ROWS_ERROR = 0.005
 """Relative error that a row has at least: a few points of a pixel, cells of directions, nodes of a table."""
+UNEXPLAINED = 0.2
+"""Residual, relative, from which the notes say so."""
 UNSURE = 0.25
 """Relative standard deviation from which a node counts as not determined."""
 
@@ -57,7 +59,8 @@ class Fit:
 
     Attributes
     ----------
-    table : its `valid` says which nodes the images determine; the others follow from the smoothness
+    table : its `valid` says which nodes the images determine, by an estimate that takes pixels' errors as independent
+        and the smoothness as true: a hint, most of all with few images. The others follow from the smoothness
     residual : relative RMSE of the pixels that were not outliers
     determined : share of the nodes that are
     deviation : (nh, nd) relative standard deviation that the images leave each node
@@ -186,10 +189,16 @@ def fit(
         robust=robust,
         least_noise=ROWS_ERROR,
     )
-    valid = found.read & (found.deviation < UNSURE)
+    # Smoothness alone makes any node sure of itself: the images must say something of it, too.
+    valid = found.read & (found.deviation < UNSURE) & (found.alone < UNSURE)
     kept = found.weights > 0.25
     residual = float(np.sqrt(((found.predicted - b)[kept] ** 2).mean()) / max(b[kept].mean(), 1e-30))
     outliers = int((~kept).sum())
+    if residual > UNEXPLAINED:
+        notes.append(
+            f"fit: the table leaves {100 * residual:.0f} % of the images unexplained; are meshes, lights and cameras "
+            "theirs, and is there one material?"
+        )
     if outliers:
         notes.append(f"fit: {outliers} of {len(b)} pixels do not fit the others and were left out")
     if not valid.all():

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
+from prtcl.errors import InputError
+from prtcl.factors.bivariate import Bivariate
 from prtcl.factors.material import Material
 from prtcl.factors.table import Table
 
@@ -22,7 +24,10 @@ def edited(
         worn = materials[part]
         # Parts that wear the same wear the same afterwards.
         if id(worn) not in made:
-            table = change(Table.of(worn))
+            given = change(Table.of(worn))
+            if not isinstance(given, Table | Bivariate):
+                raise InputError(f"edit: expected the function to return a table, got {type(given).__name__}")
+            table = Table.of(given)
             made[id(worn)] = replace(table.material(), like=worn.like or worn), table
         out[part] = made[id(worn)][0]
     return tuple(out), made[id(materials[parts[0]])][1]
