@@ -121,9 +121,12 @@ def main() -> None:
             f"{100 * found.determined:.0f} %, {found.outliers} of {found.pixels} out, {seconds:.1f} s",
             flush=True,
         )
+    command = " ".join(
+        ["python bench/fit.py --scene", options.scene, "--materials", *(options.materials or specs)]
+    )
     scenes.save(
         options.output, device=device.name, driver=device.driver,
-        command=f"python bench/fit.py --scene {options.scene}", scene=options.scene, mesh=name,
+        command=command, scene=options.scene, mesh=name,
         light_of_images=light, light_of_sixth_view=other, size=SIZE, noise=NOISE, rows=rows,
     )  # fmt: skip
 
