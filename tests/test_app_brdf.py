@@ -216,3 +216,11 @@ def test_values_that_no_device_holds_are_refused(capsys: pytest.CaptureFixture[s
     for name in ("huge.binary", "huge.npz"):
         status, _, told = run(capsys, tmp_path / name)
         assert status == 2 and f"{name}: values expected below 1e+30 1/sr, got up to 1e+36" in told
+
+
+def test_a_file_of_another_kind_is_told_what_is_read(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    (tmp_path / "x.txt").write_text("no BRDF")
+    status, _, told = run(capsys, tmp_path / "x.txt")
+    assert status == 2 and "expected a BRDF whose name ends in .npz, .binary, .bsdf, .bin" in told

@@ -127,6 +127,8 @@ def load(given: str) -> Subject:
             kind, given = "table", f"table:{given}"
         elif ending in EXTENSIONS:
             kind, given = EXTENSIONS[ending], f"{EXTENSIONS[ending]}:{given}"
+        elif Path(given).exists():
+            raise InputError(f"{given}: expected a BRDF whose name ends in .npz, {', '.join(EXTENSIONS)}")
         rest = given.partition(":")[2]
     if kind == "table":
         table = Bivariate.load(rest)
