@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from prtcl.apps import brdf_plots
+from prtcl.apps.figures import require
 from prtcl.errors import InputError
 from prtcl.factors.analytic import evaluate
 from prtcl.factors.bivariate import Bivariate, directions, merl_nodes
@@ -78,7 +79,7 @@ def run(options: argparse.Namespace) -> int:
             raise InputError(f"--write {options.write}: expected a name that ends in .npz or .binary")
         check_writable(options.write)
     if options.output is not None:
-        brdf_plots.require()
+        require()
     subject = load(options.material)
     if options.write is not None and subject.path is not None:
         check_not_input(options.write, subject.path)

@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from prtcl.errors import InputError
+from prtcl.apps import figures
 from prtcl.factors.bivariate import directions
 from prtcl.factors.material import MEASURED
 from prtcl.factors.measured import Measured
 from prtcl.factors.reduction import Brdf, in_two_angles
 from prtcl.factors.sampled_albedo import sampled_albedo
-from prtcl.files.atomic import replacing
 from prtcl.files.image import srgb
 
 Array = npt.NDArray[np.float64]
@@ -27,32 +25,11 @@ LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 """Rec. 709."""
 
 
-def require() -> None:
-    """Refuse to begin what could not be drawn.
-
-    Raises
-    ------
-    InputError
-        If matplotlib is not installed.
-    """
-    try:
-        import_module("matplotlib")
-    except ImportError as error:
-        raise InputError(
-            f"--output: the plots need matplotlib, which is not there ({error})\npip install 'prtcl[plots]'"
-        ) from error
-
-
 def write(name: str, f: Brdf, measured: Measured | None, folder: Path) -> list[Path]:
     """Write image.png, lobes.png and albedo.png."""
-    require()
-    figures = {"image": _image(name, f, measured), "lobes": _lobes(name, f), "albedo": _albedo(name, f)}
-    written = []
-    for key, figure in figures.items():
-        with replacing(folder / f"{key}.png") as aside:
-            figure.savefig(aside, dpi=130)
-        written.append(folder / f"{key}.png")
-    return written
+    figures.require()
+    made = {"image": _image(name, f, measured), "lobes": _lobes(name, f), "albedo": _albedo(name, f)}
+    return figures.save(made, folder, ("png",), 130)
 
 
 def slice_image(f: Brdf, side: int = SIDE, phi_d: float = np.pi / 2) -> Array:
@@ -79,22 +56,12 @@ def lobe(f: Brdf, incidence: float, angles: Array) -> Array:
     return np.asarray(f(np.broadcast_to(incident, outgoing.shape), outgoing) @ LUMINANCE)
 
 
-def _figure(width: float, height: float, layout: Any = "constrained") -> Any:
-    """A figure of its own: nothing of pyplot's, which holds on to figures and asks for a screen."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(width, height), layout=layout)
-    FigureCanvasAgg(figure)
-    return figure
-
-
 def _image(name: str, f: Brdf, measured: Measured | None) -> Any:
     """The slice at φ_d = 90°, and beside it what two angles keep, where they are fewer."""
     panels = [("φ_d = 90°", slice_image(f))]
     if measured is not None:
         panels.append(("mean over φ_d", slice_image(in_two_angles(measured.bivariate()))))
-    figure = _figure(1.2 + 4.6 * len(panels), 5.2)
+    figure = figures.new(1.2 + 4.6 * len(panels), 5.2)
     ticks = np.array([0, 1, 5, 15, 30, 45, 60, 75, 90])
     for number, (title, values) in enumerate(panels):
         axes = figure.add_subplot(1, len(panels), number + 1)
@@ -110,7 +77,7 @@ def _image(name: str, f: Brdf, measured: Measured | None) -> Any:
 
 def _lobes(name: str, f: Brdf) -> Any:
     """Cube root of f's luminance against the outgoing angle, a curve an incidence: a lobe and its base both show."""
-    figure = _figure(8, 4.9, None)
+    figure = figures.new(8, 4.9, None)
     axes = figure.add_axes((0.06, 0.02, 0.88, 0.98), projection="polar")
     axes.set_theta_zero_location("N")
     axes.set_theta_direction(-1)
@@ -132,7 +99,7 @@ def _lobes(name: str, f: Brdf) -> Any:
 
 
 def _albedo(name: str, f: Brdf) -> Any:
-    figure = _figure(7, 4.5)
+    figure = figures.new(7, 4.5)
     axes = figure.add_subplot()
     degrees = np.concatenate([np.linspace(0, 80, 17), np.linspace(81, 88, 8)])
     curves = sampled_albedo(f, np.radians(degrees), samples=64)

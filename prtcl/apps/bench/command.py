@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from prtcl._version import __version__
+from prtcl.apps import figures
 from prtcl.apps.bench import compare, plots, table
 from prtcl.apps.bench.registry import STAGES
 from prtcl.apps.bench.runner import Limits, rows
@@ -97,7 +98,7 @@ def _names(asked: list[str] | None) -> list[str]:
 def _folder(output: str, no_plots: bool) -> Path:
     """The folder of the results, made; found out before any work."""
     if not no_plots:
-        plots.require()
+        figures.require(plots.WAY_OUT)
     folder = made_folder(output)
     check_writable(folder / "bench.json")
     return folder

@@ -2,35 +2,16 @@
 
 from __future__ import annotations
 
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from prtcl.errors import InputError
-from prtcl.files.atomic import replacing
+from prtcl.apps import figures
 
 Row = dict[str, Any]
-KINDS = ("png", "svg")
+WAY_OUT = ", or --no-plots"
 MARKS = "os^vD<>ph*XP"
-
-
-def require() -> None:
-    """Refuse to begin a run whose pictures could not be made.
-
-    Raises
-    ------
-    InputError
-        If matplotlib is not installed.
-    """
-    try:
-        import_module("matplotlib")
-    except ImportError as error:
-        raise InputError(
-            f"--output: the plots need matplotlib, which is not there ({error})\n"
-            "pip install 'prtcl[plots]', or --no-plots"
-        ) from error
 
 
 def write(result: Row, folder: Path) -> list[Path]:
@@ -41,33 +22,17 @@ def write(result: Row, folder: Path) -> list[Path]:
     InputError
         If matplotlib is not installed, or a file cannot be written.
     """
-    require()
+    figures.require(WAY_OUT)
     rows = [row for row in result["rows"] if row["rival"] is None]
-    figures = {"roofline": _roofline(result, rows)}
+    made = {"roofline": _roofline(result, rows)}
     if len({(row["points"], row["levels"]) for row in rows}) > 1:
-        figures["scaling"] = _scaling(result, rows)
-    written = []
-    for name, figure in figures.items():
-        for kind in KINDS:
-            with replacing(folder / f"{name}.{kind}") as aside:
-                figure.savefig(aside, dpi=150)
-            written.append(folder / f"{name}.{kind}")
-    return written
-
-
-def _figure() -> Any:
-    """A figure of its own: nothing of pyplot's, which holds on to figures and asks for a screen."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(12, 6.5), layout="constrained")
-    FigureCanvasAgg(figure)
-    return figure
+        made["scaling"] = _scaling(result, rows)
+    return figures.save(made, folder)
 
 
 def _roofline(result: Row, rows: list[Row]) -> Any:
     """Operations a second against operations a byte; a mark a stage and size under both limits."""
-    figure, top = _figure(), result["limits"]
+    figure, top = figures.new(), result["limits"]
     axes = figure.add_subplot()
     inside = [row for row in rows if row["bound"] != "host"]
     intensity = [row["flops"] / row["bytes"] for row in inside]
@@ -93,7 +58,7 @@ def _roofline(result: Row, rows: list[Row]) -> Any:
 
 def _scaling(result: Row, rows: list[Row]) -> Any:
     """Seconds against points, a line a stage, levels and channels."""
-    figure = _figure()
+    figure = figures.new()
     axes = figure.add_subplot()
     names = list(dict.fromkeys(row["stage"] for row in rows))
     styles = {

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from prtcl._version import __version__
+from prtcl.apps import figures
 from prtcl.apps.stress import plots, table
 from prtcl.apps.stress.registry import CASES, EVERY, Size
 from prtcl.apps.stress.runner import GOOD, rows
@@ -66,7 +67,7 @@ def _names(asked: list[str] | None) -> list[str]:
 def _folder(output: str, no_plots: bool) -> Path:
     """The folder of the results, made; found out before any work."""
     if not no_plots:
-        plots.require()
+        figures.require(plots.WAY_OUT)
     folder = made_folder(output)
     check_writable(folder / "stress.json")
     return folder

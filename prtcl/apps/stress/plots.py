@@ -3,33 +3,14 @@
 from __future__ import annotations
 
 import re
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from prtcl.errors import InputError
-from prtcl.files.atomic import replacing
+from prtcl.apps import figures
 
 Row = dict[str, Any]
-KINDS = ("png", "svg")
+WAY_OUT = ", or --no-plots"
 MARKS = {"float32": "o", "mixed": "s", "float64": "^"}
-
-
-def require() -> None:
-    """Refuse to begin a run whose pictures could not be made.
-
-    Raises
-    ------
-    InputError
-        If matplotlib is not installed.
-    """
-    try:
-        import_module("matplotlib")
-    except ImportError as error:
-        raise InputError(
-            f"--output: the plots need matplotlib, which is not there ({error})\n"
-            "pip install 'prtcl[plots]', or --no-plots"
-        ) from error
 
 
 def write(result: Row, folder: Path) -> list[Path]:
@@ -40,18 +21,12 @@ def write(result: Row, folder: Path) -> list[Path]:
     InputError
         If matplotlib is not installed, or a file cannot be written.
     """
-    require()
+    figures.require(WAY_OUT)
     rows = [row for row in result["rows"] if row["error"] and row["bound"]]
-    figures = {"bounds": _bounds(result, rows)}
+    made = {"bounds": _bounds(result, rows)}
     if len({_depth(row) for row in rows} - {None}) > 1:
-        figures["depth"] = _depths(result, rows)
-    written = []
-    for name, figure in figures.items():
-        for kind in KINDS:
-            with replacing(folder / f"{name}.{kind}") as aside:
-                figure.savefig(aside, dpi=150)
-            written.append(folder / f"{name}.{kind}")
-    return written
+        made["depth"] = _depths(result, rows)
+    return figures.save(made, folder)
 
 
 def _depth(row: Row) -> int | None:
@@ -59,19 +34,9 @@ def _depth(row: Row) -> int | None:
     return int(found[1]) if found else None
 
 
-def _figure() -> Any:
-    """A figure of its own: nothing of pyplot's, which holds on to figures and asks for a screen."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(12, 6.5), layout="constrained")
-    FigureCanvasAgg(figure)
-    return figure
-
-
 def _bounds(result: Row, rows: list[Row]) -> Any:
     """Every trial's error against its bound; what lies above the line is beyond it."""
-    figure = _figure()
+    figure = figures.new()
     axes = figure.add_subplot()
     for number, title in enumerate(dict.fromkeys(row["title"] for row in rows)):
         for precision, mark in MARKS.items():
@@ -92,7 +57,7 @@ def _bounds(result: Row, rows: list[Row]) -> Any:
 
 def _depths(result: Row, rows: list[Row]) -> Any:
     """Errors of float32 against the levels of the tree: a panel a case, a line a trial, its bound dotted."""
-    figure = _figure()
+    figure = figures.new()
     deep = [row for row in rows if _depth(row) is not None and row["precision"] == "float32"]
     titles = [
         t
