@@ -28,7 +28,7 @@ from prtcl.transport import collapse, cut
 from prtcl.transport.hard_tree import HardSums
 from prtcl.transport.leaves import Leaves, Squares, local_views
 from prtcl.transport.pilots import Pilots, sample
-from prtcl.transport.pipeline import Points, unit_of
+from prtcl.transport.pipeline import Points, in_unit
 from prtcl.transport.settings import Settings
 from prtcl.wavelet import pyramid
 
@@ -95,10 +95,8 @@ class Relit:
 
     def set_light(self, environment: Environment) -> None:
         """Take another light: nothing traced is lost, nothing collapsed is kept."""
-        unit, count = unit_of(environment), len(self.points)
-        if unit != 1.0:
-            environment = replace(environment, image=environment.image / np.float32(unit))
-        light = environment.split(self.settings.levels)
+        scaled, unit = in_unit(environment)
+        light, count = scaled.split(self.settings.levels), len(self.points)
         # What may fail comes first: the light that is there stays whole.
         hard = HardSums(self.device, light.hard, light.hard_share, count) if len(light.hard) else None
         self.light, self._hard, self._unit = light, hard, np.float32(unit)

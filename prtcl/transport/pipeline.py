@@ -87,8 +87,7 @@ class Pipeline:
     ) -> None:
         self.device, self.settings, self.budget = device, settings, budget
         with device.profile.host("split_light"):
-            self.unit = unit_of(environment)
-            scaled = replace(environment, image=environment.image / np.float32(self.unit))
+            scaled, self.unit = in_unit(environment)
             self.light = scaled.split(settings.levels, settings.hard)
         self.materials = Materials(device, materials)
         self.channels = 1 if self.light.grey else 3
@@ -199,10 +198,17 @@ class Pipeline:
             out[part] = wait()[:, :3] * self.unit
 
 
-def unit_of(environment: Environment) -> float:
-    """The power of two that radiance is stored in: 1 but for light so bright or dim that sums leave float32's range."""
+def in_unit(environment: Environment) -> tuple[Environment, float]:
+    """The light as it is stored, and the power of two that it was divided by.
+
+    That is 1 but for light so bright or dim that sums leave float32's range; the environment is then itself, and keeps
+    what `Environment.split` has made of it.
+    """
     largest = float(environment.image.max(initial=0.0))
-    return 1.0 if largest == 0.0 or 2.0**-60 < largest < 2.0**60 else 2.0 ** (math.frexp(largest)[1] - 1)
+    if largest == 0.0 or 2.0**-60 < largest < 2.0**60:
+        return environment, 1.0
+    unit = 2.0 ** (math.frexp(largest)[1] - 1)
+    return replace(environment, image=environment.image / np.float32(unit)), unit
 
 
 class Pipelines:

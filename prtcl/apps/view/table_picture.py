@@ -8,8 +8,8 @@ import numpy as np
 import numpy.typing as npt
 from PIL import Image, ImageDraw, ImageFont
 
+from prtcl.apps.brdf_plots import tone_mapped
 from prtcl.factors.bivariate import Bivariate
-from prtcl.files.image import srgb
 
 WIDTH, MAP_HEIGHT, LOBE_HEIGHT = 460, 350, 300
 LEFT, BOTTOM, TOP, RIGHT = 64, 58, 34, 18
@@ -38,9 +38,8 @@ def picture(table: Bivariate, region: Region | None = None) -> npt.NDArray[np.ui
 
 
 def tone(values: npt.NDArray[np.float64]) -> npt.NDArray[np.uint8]:
-    """f in 1/sr to 8-bit sRGB: white Lambert is half of the most, whatever is brighter still differs (Reinhard)."""
-    white = np.pi * np.maximum(values, 0.0)
-    return np.rint(255 * srgb(white / (1.0 + white))).astype(np.uint8)
+    """f in 1/sr to 8-bit sRGB, as `prtcl brdf` draws it: whatever is brighter than white still differs."""
+    return np.rint(255 * tone_mapped(values)).astype(np.uint8)
 
 
 def _map(image: Image.Image, draw: ImageDraw.ImageDraw, table: Bivariate, region: Region | None) -> None:
