@@ -34,6 +34,11 @@ def _depth(row: Row) -> int | None:
     return int(found[1]) if found else None
 
 
+def _way(row: Row) -> str:
+    """How it was computed, of a trial called "data: way"; else what it is called."""
+    return str(row["what"]).rpartition(": ")[2]
+
+
 def _bounds(result: Row, rows: list[Row]) -> Any:
     """Every trial's error against its bound; what lies above the line is beyond it."""
     figure = figures.new()
@@ -67,10 +72,14 @@ def _depths(result: Row, rows: list[Row]) -> Any:
     panels = figure.subplots(1, max(1, len(titles)), squeeze=False)[0]
     for axes, title in zip(panels, titles, strict=False):
         inside = [row for row in deep if row["title"] == title]
-        for number, what in enumerate(dict.fromkeys(row["what"] for row in inside)):
+        # Of "data: way" a colour a way: each data in its own would be more than can be told apart.
+        ways = list(dict.fromkeys(_way(row) for row in inside))
+        for what in dict.fromkeys(row["what"] for row in inside):
             own = [row for row in inside if row["what"] == what]
-            at, colour = [_depth(row) for row in own], f"C{number % 10}"
-            axes.semilogy(at, [row["error"] for row in own], "o-", color=colour, label=what)
+            way = _way(own[0])
+            at, colour = [_depth(row) for row in own], f"C{ways.index(way) % 10}"
+            label = way if colour not in {line.get_color() for line in axes.lines} else None
+            axes.semilogy(at, [row["error"] for row in own], "o-", color=colour, label=label)
             axes.semilogy(at, [row["bound"] for row in own], ":", color=colour)
         axes.set_title(title, fontsize="x-small", wrap=True)
         axes.set_xlabel("levels of the tree")
