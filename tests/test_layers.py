@@ -21,6 +21,9 @@ FLOOR = {name: height for height, names in enumerate(FLOORS) for name in names}
 MODULES = sorted(PACKAGE.rglob("*.py"))
 
 
+ORACLES = ("prtcl.apps.bench.oracle", "prtcl.apps.stress.oracle", "prtcl.transport.truth")
+
+
 def imported(source: str, package: str) -> set[str]:
     """Dotted names of what a source imports from prtcl, wherever in the file."""
     found: set[str] = set()
@@ -59,8 +62,8 @@ def violations(source: str, module: str) -> list[str]:
             # It offers names of every floor, but only when they are asked for.
             allowed = target == "_version" or name in typing_only(source)
         elif target == "reference":
-            # The oracle stands apart; only bench and stress hold their results against it while they run.
-            allowed = module in ("prtcl.apps.bench.oracle", "prtcl.apps.stress.oracle")
+            # The oracle stands apart; only what holds results against it while it runs may know it.
+            allowed = module in ORACLES
         else:
             allowed = target in FLOOR and FLOOR[target] <= FLOOR[parts[1]]
         if not allowed:

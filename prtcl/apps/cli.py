@@ -131,7 +131,11 @@ def parser() -> Parser:
     render.add_argument(
         "--exposure", type=float, default=0.0, metavar="STOPS", help="of the preview (default: 0)"
     )
+    render.add_argument(
+        "--error-channel", action="store_true", help="write each pixel's expected error as a fifth channel"
+    )
     _scene(render)
+    _plan(render)
     _device(render, several=True)
     _common(render)
     render.set_defaults(run=_render)
@@ -419,6 +423,17 @@ def _scene(command: argparse.ArgumentParser) -> None:
     )
     fine.add_argument("--precision", choices=("float32", "mixed", "float64"), default="float32")
     command.add_argument("--explain", action="store_true", help="what was chosen and why")
+
+
+def _plan(command: argparse.ArgumentParser) -> None:
+    """Options that say how large the error may be."""
+    plan = command.add_argument_group("error (default: what bench/accuracy.py found settings good for)")
+    plan.add_argument(
+        "--error", type=float, metavar="E",
+        help="relative RMSE to aim for: finds the fastest settings that meet it",
+    )  # fmt: skip
+    plan.add_argument("--save-plan", metavar="FILE.json", help="keep what was found")
+    plan.add_argument("--plan", metavar="FILE.json", help="use what was found before")
 
 
 def size(text: str) -> tuple[int, int]:

@@ -14,6 +14,7 @@ from prtcl.errors import InputError
 from prtcl.files.atomic import check_not_input, check_writable
 from prtcl.scene.bake import is_bake
 from prtcl.scene.camera import Camera
+from prtcl.scene.plan import Plan
 from prtcl.scene.scene import Render, Scene, read_environment
 
 
@@ -26,7 +27,11 @@ def run(options: argparse.Namespace) -> int:
             raise InputError(f"--png {preview}: expected a name that ends in .png")
     if not abs(options.exposure) <= 1000:
         raise InputError(f"--exposure {options.exposure}: expected stops between -1000 and 1000")
-    for path in filter(None, (options.output, preview)):
+    if options.plan is not None and options.error is not None:
+        raise InputError("--plan and --error: a plan has its error; give one of them")
+    if options.save_plan is not None and options.error is None and options.plan is None:
+        raise InputError("--save-plan: there is a plan only where an --error is asked for")
+    for path in filter(None, (options.output, preview, options.save_plan)):
         check_writable(path)
         check_not_input(path, options.mesh, options.env)
     if is_bake(options.mesh) and options.points == "pixel":
@@ -38,6 +43,7 @@ def run(options: argparse.Namespace) -> int:
     environment, notes = read_environment(
         options.env, rotate=options.env_rotate, up=options.env_up, repair=options.repair
     )
+    plan = None if options.plan is None else Plan.load(options.plan)
     scene = Scene(
         mesh, environment, options.brdf, device=devices, two_sided=not options.one_sided,
         smooth=options.smooth, levels=options.levels, rays=options.rays, keep=options.keep, views=options.views,
@@ -56,8 +62,19 @@ def run(options: argparse.Namespace) -> int:
     for note in scene.notes:
         print(f"prtcl render: {note}", file=sys.stderr)
     with bar("render", options.quiet) as notify:
-        render = scene.render(points=options.points or "pixel", samples=options.samples, progress=notify)
-    render.save(options.output, png=preview, exposure=options.exposure)
+        render = scene.render(
+            points=options.points or (plan.points if plan is not None else "pixel"), samples=options.samples,
+            error=options.error, plan=plan, progress=notify,
+        )  # fmt: skip
+    render.save(options.output, png=preview, exposure=options.exposure, error=options.error_channel)
+    if options.save_plan is not None and render.plan is not None:
+        render.plan.save(options.save_plan)
+    if render.plan is not None and render.plan.predicted > render.plan.asked:
+        print(
+            f"prtcl render: the error asked for was not reached: {render.plan.asked:g} asked, about "
+            f"{render.plan.predicted:.2g} found",
+            file=sys.stderr,
+        )
     if options.json:
         print(json.dumps(render.report, indent=2))
     elif not options.quiet:
@@ -72,8 +89,9 @@ def summary(render: Render, output: str) -> str:
     report = render.report
     height, width = render.image.shape[:2]
     points = sum(report["points_shaded"].values())
+    error = "" if render.plan is None else f"expected error {100 * render.plan.predicted:.2g} %, "
     return (
-        f"{output}: {width}x{height}, {points} points, {report['rays'] / 1e6:.1f} M rays, "
+        f"{output}: {width}x{height}, {points} points, {report['rays'] / 1e6:.1f} M rays, {error}"
         f"{report['seconds']['total']:.1f} s on {report['device']}"
     )
 
@@ -98,5 +116,6 @@ def explain(render: Render) -> str:
             f"left out    {'two of three channels: the light is grey' if light['channels'] == 1 else 'no channel'}",
             f"points      {layers} a covered pixel (soft light, hard light); estimated pixel error "
             f"{100 * report['pixel_error_estimate']:.2f} %",
+            *(f"plan        {line}" for line in (render.plan.explain() if render.plan is not None else ())),
         ]
     )

@@ -28,7 +28,10 @@ _RESERVED = frozenset(
 
 
 def write_exr(
-    path: str | os.PathLike[str], image: NDArray[np.float32], metadata: dict[str, str] | None = None
+    path: str | os.PathLike[str],
+    image: NDArray[np.float32],
+    metadata: dict[str, str] | None = None,
+    extra: dict[str, NDArray[np.float32]] | None = None,
 ) -> None:
     """Write an image as float32 EXR with channels R, G, B, A, ZIP compressed by scanlines.
 
@@ -40,11 +43,13 @@ def write_exr(
         Linear radiance times alpha (premultiplied), and alpha. Stored as float32, nothing is clipped.
     metadata : dict of str to str, optional
         Text attributes for the header.
+    extra : dict of str to (h, w) float, optional
+        Further channels, stored as float32.
 
     Raises
     ------
     InputError
-        The path cannot be written, the image has another shape, or a metadata name belongs to the format.
+        The path cannot be written, an image has another shape, or a metadata name belongs to the format.
     PrtclError
         Writing failed, such as on a full disk.
     """
@@ -55,6 +60,12 @@ def write_exr(
             raise InputError(f"metadata '{name}': expected a free name of 1 to 255 characters; rename it")
         header[name] = str(text)
     planes = {name: np.ascontiguousarray(pixels[..., index]) for index, name in enumerate("RGBA")}
+    for name, plane in (extra or {}).items():
+        if np.shape(plane) != pixels.shape[:2]:
+            raise InputError(
+                f"channel '{name}': expected {pixels.shape[:2]} like the image, got {np.shape(plane)}"
+            )
+        planes[name] = np.ascontiguousarray(plane, dtype=np.float32)
     with replacing(path) as temporary:
         try:
             OpenEXR.File(header, planes).write(str(temporary))

@@ -12,9 +12,7 @@ from prtcl.factors.sequence import stratified
 Array = npt.NDArray[np.float64]
 
 FIRST = 4
-"""Points that every pixel starts with: 2 × 2."""
-FIRST_HARD = 16
-"""The same for hard light: 4 × 4, each of some tens of rays where a point of soft light takes hundreds."""
+"""Points that every pixel starts with: 2 × 2. Those of hard light are up to `Settings.hard_points`."""
 
 
 class Film:
@@ -25,11 +23,23 @@ class Film:
     Parameters
     ----------
     size : width and height
+    pixels : (m,) flat indices of the pixels that are exposed, or None for all of them
+    first : number of a pixel's first point, a multiple of as many as it may get: films that begin at different ones
+        share no point
+
+    Attributes
+    ----------
+    pixels : (m,) flat index of each exposed pixel; what the methods call a pixel is its place among these
+    points : (m,) how many points each has
     """
 
-    def __init__(self, size: tuple[int, int]) -> None:
+    def __init__(
+        self, size: tuple[int, int], pixels: npt.NDArray[np.int64] | None = None, first: int = 0
+    ) -> None:
         self.width, self.height = size
-        count = self.width * self.height
+        self._whole, self.first = pixels is None, first
+        self.pixels = np.arange(self.width * self.height) if pixels is None else pixels
+        count = len(self.pixels)
         self.points = np.zeros(count, dtype=np.int64)
         self._sum = np.zeros((count, 3))
         self._hits = np.zeros(count)
@@ -47,7 +57,7 @@ class Film:
 
         Parameters
         ----------
-        pixels : (k,) flat indices, all with `first` points so far
+        pixels : (k,) all with `first` points so far
         hit : (m,) which of the k (last − first) points, pixel by pixel, saw the mesh
         radiance : (m, 3) of those
         """
@@ -59,7 +69,9 @@ class Film:
         self._sum[pixels] += sums[:, :3]
         self._hits[pixels] += sums[:, 3]
         self.points[pixels] += each
-        self._variance[pixels] = _local_variance(by_pixel[..., :3].mean(axis=2), first, last) / last
+        self._variance[pixels] = (
+            _local_variance(by_pixel[..., :3].mean(axis=2), first, last, self.first) / last
+        )
 
     def mean(self) -> Array:
         """(pixels, 3) premultiplied radiance."""
@@ -73,8 +85,10 @@ class Film:
         """(pixels,) estimated squared error of each pixel's grey mean.
 
         A pixel takes a quarter of the largest estimate among its neighbours if that is more, for what its own
-        first points may have missed.
+        first points may have missed. Pixels of a film that has not all of them stand alone.
         """
+        if not self._whole:
+            return self._variance
         grid = np.pad(self._variance.reshape(self.height, self.width), 1)
         around = np.max(
             [grid[i : i + self.height, j : j + self.width] for i in range(3) for j in range(3)], axis=0
@@ -89,7 +103,7 @@ class Film:
         return np.sort(order[: int(np.searchsorted(-left, -allowed, side="left"))])
 
 
-def _local_variance(values: Array, first: int, last: int) -> Array:
+def _local_variance(values: Array, first: int, last: int, offset: int = 0) -> Array:
     """Variance of points (pixels, last − first) within the blocks of the pixel in which they are stratified.
 
     Of the first 4 n points of the (0, 2)-sequence, n = 4**k, each block of the √n × √n grid holds four, three
@@ -105,6 +119,6 @@ def _local_variance(values: Array, first: int, last: int) -> Array:
         return np.zeros(len(values))
     if not nested:
         return np.asarray(values.var(axis=1, ddof=1))
-    x, y = stratified(np.arange(first, last))
+    x, y = stratified(offset + np.arange(first, last))
     order = np.argsort((y * side).astype(np.int64) * side + (x * side).astype(np.int64), kind="stable")
     return np.asarray(values[:, order].reshape(len(values), blocks, -1).var(axis=2, ddof=1).mean(axis=1))

@@ -18,23 +18,22 @@ from prtcl.factors.material import Material
 from prtcl.factors.visibility import Tracer
 from prtcl.files.image import encode_png, write_exr, write_png
 from prtcl.files.radiance import read_radiance, require_equirectangular
+from prtcl.scene.adapt import MOST, MOST_HARD, Exposure, colours
 from prtcl.scene.bake import Bake, read_mesh_or_bake
 from prtcl.scene.camera import Camera
-from prtcl.scene.film import FIRST, FIRST_HARD, Film
+from prtcl.scene.film import FIRST, Film
 from prtcl.scene.mesh import Mesh
-from prtcl.scene.points import check_eye, shoot
-from prtcl.scene.report import covered, render_report
+from prtcl.scene.plan import Plan
+from prtcl.scene.plan_vertices import plan_vertices
+from prtcl.scene.planner import plan_pixels
+from prtcl.scene.points import check_eye
+from prtcl.scene.report import render_report
 from prtcl.scene.shaders import Counter, Layer, Notify, PixelShader, VertexShader
+from prtcl.scene.steer import expected_error, steer
 from prtcl.scene.tint import Tints, colour_notes
 from prtcl.transport.pipeline import Pipelines, Points
 from prtcl.transport.settings import Settings, choose
 from prtcl.transport.several import Several
-
-BATCH = 1 << 17
-"""Sub-pixel points in flight: bounds the host's memory whatever the image's size."""
-MOST, MOST_HARD = 1024, 4096
-"""Points that an adaptive pixel may end with: 32 × 32 of soft light; 64 × 64 of hard light, whose glints on facets
-smaller than a pixel vary most, and whose points cost least."""
 
 Path = str | os.PathLike[str]
 Report = dict[str, Any]
@@ -48,14 +47,29 @@ class Render:
     ----------
     image : (h, w, 4) float32 linear RGBA, colour premultiplied by coverage
     report : settings, device, seconds and points a second by stage, bytes a point, notes
+    error : (h, w) float32 standard error expected of each pixel's grey mean, in its radiance, or None (a `Session`)
+    plan : what it was rendered with, where an error was asked for
     """
 
     image: npt.NDArray[np.float32]
     report: Report = field(default_factory=dict)
+    error: npt.NDArray[np.float32] | None = None
+    plan: Plan | None = None
 
-    def save(self, path: Path, *, png: Path | None = None, exposure: float = 0.0) -> None:
-        """Write EXR, and an 8-bit sRGB preview where `png` names one."""
-        write_exr(path, self.image, {"prtcl": str(self.report.get("settings", ""))})
+    def save(
+        self, path: Path, *, png: Path | None = None, exposure: float = 0.0, error: bool = False
+    ) -> None:
+        """Write EXR, with `error` as a fifth channel of that name where asked, and an sRGB preview `png`.
+
+        Raises
+        ------
+        InputError
+            If `error` is asked of a picture that has none.
+        """
+        if error and self.error is None:
+            raise InputError("error: this picture holds no estimate of it; Scene.render's do")
+        extra = {"error": self.error} if error and self.error is not None else None
+        write_exr(path, self.image, {"prtcl": str(self.report.get("settings", ""))}, extra)
         if png is not None:
             write_png(png, self.image, exposure)
 
@@ -156,8 +170,9 @@ class Scene:
         return out
 
     def render(
-        self, *, points: str = "pixel", samples: int | None = None, progress: Notify | None = None
-    ) -> Render:
+        self, *, points: str = "pixel", samples: int | None = None, error: float | None = None,
+        plan: Plan | None = None, progress: Notify | None = None,
+    ) -> Render:  # fmt: skip
         """The image.
 
         Parameters
@@ -165,24 +180,34 @@ class Scene:
         points : "pixel" computes radiance at what each pixel sees; "vertex" at the mesh's vertices, between
             which it is interpolated. A bake always renders its vertices.
         samples : N × N sub-pixel points a pixel; None adapts, from 2 × 2 up to 64 × 64
+        error : relative RMSE to aim for: the fastest settings that meet it are found by a pilot, and pixels get
+            points until audits find the image there (`prtcl.scene.planner`, `prtcl.scene.steer`)
+        plan : settings found before, by `plan` or in a `Render`, in place of finding them
         progress : called with (points done, points known of so far), from worker threads
 
         Raises
         ------
         InputError
-            If `points` or `samples` is out of range.
+            If `points`, `samples` or `error` is out of range, if nothing meets the error, or the plan is of another
+            scene.
         """
         if points not in ("pixel", "vertex"):
             raise InputError(f"points: expected pixel or vertex, got {points!r}")
         if samples is not None and not 1 <= samples <= 64:
             raise InputError(f"samples: expected 1 to 64 points along a pixel's side, got {samples}")
+        if samples is not None and error is not None:
+            raise InputError(
+                "samples and error: points are fixed by the one or sought for the other; give one"
+            )
         start = time.perf_counter()
         for device in self.devices:
             device.profile.reset()
         check_eye(self.tracer, self.mesh, self.camera)
         vertex = points == "vertex" or self.bake is not None
         rays = self.tracer.rays
-        self.settings = self.choose_settings(vertex)
+        if plan is None and error is not None:
+            plan = self.plan(error, points=points)
+        self.settings = self.choose_settings(vertex) if plan is None else self._planned(plan, vertex)
         pipelines = [
             Pipelines(
                 device,
@@ -196,15 +221,64 @@ class Scene:
         pipeline: Pipelines | Several = pipelines[0] if len(pipelines) == 1 else Several(pipelines)
         count = Counter(progress)
         layers = self._layers(pipeline, count, vertex)
-        everything = np.arange(self.camera.size[0] * self.camera.size[1])
+        exposure = Exposure(self.device, self.tracer, self.camera)
         for layer in layers:
-            self._expose(layer, everything, 0, layer.first if samples is None else samples**2)
-        if samples is None:
-            self._refine(layers)
-            self._complete(layers)
+            exposure.begin(layer, layer.first if samples is None else samples**2)
+        steered = None
+        if samples is None and plan is not None and not plan.steered and not vertex:
+            steered = steer(
+                exposure, layers, plan.asked, plan.bias, plan.bias_uncertain, self.settings[0][0].hard_error
+            )
+            plan = replace(
+                plan, predicted=steered.error, confidence=steered.confidence, noise_ratio=steered.ratio, steered=True,
+                settings=tuple(
+                    replace(own, pixel_error=steered.pixel_error, hard_error=steered.hard_error)
+                    for own in plan.settings
+                ),
+            )  # fmt: skip
+        elif samples is None:
+            # One number for the whole image: sharp highlights, where there are any, make most of its error.
+            exposure.refine(layers, max(own.pixel_error for own, _ in self.settings))
+            exposure.complete(layers)
         rays = self.tracer.rays - rays
         report = render_report(self, pipeline, layers, count, vertex, rays, time.perf_counter() - start)
-        return Render(self._develop(layers), report)
+        if plan is not None:
+            report["plan"] = {**plan.summary(), "audits": 0 if steered is None else steered.audits}
+        width, height = self.camera.size
+        picture = colours(layers)
+        error_picture = expected_error(layers, picture, plan)
+        return Render(
+            picture.reshape(height, width, 4).astype(np.float32),
+            report,
+            error_picture.reshape(height, width),
+            plan,
+        )
+
+    def plan(self, error: float, *, points: str = "pixel") -> Plan:
+        """The fastest settings that meet a relative RMSE, as a pilot finds them: `prtcl.scene.planner`.
+
+        Raises
+        ------
+        InputError
+            If `error` is not between 0 and 1, or nothing meets it.
+        """
+        if not 0.0 < error < 1.0:
+            raise InputError(f"error: expected a relative error between 0 and 1, such as 0.01, got {error}")
+        vertex = points == "vertex" or self.bake is not None
+        check_eye(self.tracer, self.mesh, self.camera)
+        base = [own for own, _ in self.choose_settings(vertex)]
+        fixed = {name for name, value in self._by_hand.items() if value is not None}
+        return (plan_vertices if vertex else plan_pixels)(self, error, base, fixed)
+
+    def _planned(self, plan: Plan, vertex: bool) -> list[tuple[Settings, str]]:
+        """A plan's settings with what was fixed by hand on top."""
+        if plan.points != ("vertex" if vertex else "pixel") or len(plan.settings) != len(self.materials):
+            raise InputError(
+                f"plan: made for the {plan.points} points of {len(plan.settings)} materials, got "
+                f"{'vertex' if vertex else 'pixel'} points of {len(self.materials)}; make one for this scene"
+            )
+        reason = f"planned for an error of {plan.asked:g}"
+        return [(own.with_defaults(**self._by_hand), reason) for own in plan.settings]
 
     def _repr_png_(self) -> bytes:
         """What a notebook shows: the image at 2 × 2 points a pixel."""
@@ -223,75 +297,12 @@ class Scene:
         layers = [Layer(film, PixelShader(self, pipeline.soft, count, "soft"), FIRST, MOST)]
         if len(pipeline.light.hard):
             shader = PixelShader(self, pipeline.hard, count, "hard")
-            layers.append(Layer(Film(self.camera.size), shader, FIRST_HARD, MOST_HARD))
+            layers.append(Layer(Film(self.camera.size), shader, self.settings[0][0].hard_points, MOST_HARD))
+            share = self.settings[0][0].hard_error
+            layers = [
+                replace(layer, share=own) for layer, own in zip(layers, (1 - share, share), strict=True)
+            ]
         return layers
-
-    def _refine(self, layers: list[Layer]) -> None:
-        """Four times the points, again and again, where the estimated error is largest."""
-        for reached in (4**k for k in range(1, 8)):
-            active = [layer for layer in layers if reached < layer.most]
-            if not active:
-                return
-            # The whole image's mean and the number of its pixels turn a relative error into a sum of squares.
-            mean = np.sum([layer.film.mean().mean(axis=1) for layer in layers], axis=0)
-            seen = covered(layers)
-            # One number for the whole image: sharp highlights, where there are any, make most of its error.
-            error = max(own.pixel_error for own, _ in self.settings)
-            allowed = (error * mean[seen].mean()) ** 2 * seen.sum() / len(layers) if seen.any() else 0
-            for layer in active:
-                pixels = layer.film.worst(allowed)
-                # A pixel that waited a round or more catches up round by round.
-                pixels = pixels[layer.film.points[pixels] <= reached]
-                for have in np.unique(layer.film.points[pixels]):
-                    behind = pixels[layer.film.points[pixels] == have]
-                    while have <= reached:
-                        self._expose(layer, behind, int(have), 4 * int(have))
-                        have *= 4
-
-    def _complete(self, layers: list[Layer]) -> None:
-        """Points where a layer saw nothing of the mesh but the one with most points did: its colour would be missing.
-
-        Layers share their places in the pixel, so with as many points it sees the mesh too. Few of them do.
-        """
-        seen, most = self._coverage(layers), np.max([layer.film.points for layer in layers], axis=0)
-        for layer in layers:
-            film = layer.film
-            while (blind := np.flatnonzero((seen > 0) & (film.coverage() == 0) & (film.points < most))).size:
-                for have in np.unique(film.points[blind]):
-                    self._expose(layer, blind[film.points[blind] == have], int(have), 4 * int(have))
-
-    @staticmethod
-    def _coverage(layers: list[Layer]) -> npt.NDArray[np.float64]:
-        """(pixels,) the coverage that the layer with most points saw."""
-        most = np.argmax([layer.film.points for layer in layers], axis=0)
-        return np.stack([layer.film.coverage() for layer in layers])[most, np.arange(len(most))]
-
-    def _develop(self, layers: list[Layer]) -> npt.NDArray[np.float32]:
-        """The layers' sum, with the coverage that most points saw.
-
-        Each layer's mean over the points that saw the mesh, times that one coverage: with its own, which differs where
-        it has other points, colour and alpha would not belong together and silhouettes would get fringes.
-        """
-        width, height = self.camera.size
-        rgba = np.zeros((height * width, 4))
-        rgba[:, 3] = self._coverage(layers)
-        for layer in layers:
-            own = layer.film.coverage()
-            # One where they agree, so that nothing is rounded then.
-            scale = np.divide(rgba[:, 3], own, out=np.zeros_like(own), where=own > 0)
-            rgba[:, :3] += layer.film.mean() * scale[:, None]
-        return rgba.reshape(height, width, 4).astype(np.float32)
-
-    def _expose(self, layer: Layer, pixels: npt.NDArray[np.int64], first: int, last: int) -> None:
-        """Points first … last − 1 of each of the pixels."""
-        each = last - first
-        step = max(1, BATCH // each)
-        for start in range(0, len(pixels), step):
-            some = pixels[start : start + step]
-            pixel, sub = np.repeat(some, each), np.tile(np.arange(first, last), len(some))
-            with self.device.profile.host("camera_rays"):
-                hits = shoot(self.tracer, self.camera, pixel, sub)
-            layer.film.add(some, first, last, hits.ray, layer.shader(hits, sub[hits.ray]))
 
     def single_material(self, points: Points) -> Points:
         """The points as they are, or all of the one material that replaces the mesh's own."""

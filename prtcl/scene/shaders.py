@@ -48,12 +48,18 @@ class Shader(Protocol):
 
 @dataclass(frozen=True)
 class Layer:
-    """A film, what exposes it, and how many points a pixel of it starts with and may end with."""
+    """A film, what exposes it, and how many points a pixel of it starts with and may end with.
+
+    Attributes
+    ----------
+    share : of the squared error that the image may have, what this layer's estimate may be
+    """
 
     film: Film
     shader: Shader
     first: int
     most: int
+    share: float = 1.0
 
 
 class PixelShader:

@@ -30,6 +30,9 @@ class Settings:
     visibility : "adaptive" traces rays where neighbours disagree (`prtcl.factors.refine`), "every" traces all
     pixel_error : relative RMSE over the image that adaptive sub-pixel points aim at, by an estimate on the safe
         side (stratified points err less than it assumes)
+    hard_error : share of the square of pixel_error that hard light's points may have, 0 to 1
+    hard_points : points of hard light that an adaptive pixel starts with, 4 or 16; four that all miss a glint say
+        nothing of it
     """
 
     levels: int = 5
@@ -40,6 +43,8 @@ class Settings:
     hard: str = "auto"
     visibility: str = "adaptive"
     pixel_error: float = 0.007
+    hard_error: float = 0.5
+    hard_points: int = 16
 
     def __post_init__(self) -> None:
         for name in ("levels", "rays", "keep"):
@@ -54,6 +59,13 @@ class Settings:
             raise InputError(f"method: expected one of {', '.join(METHODS)}, got {self.method!r}")
         if self.hard not in HARD:
             raise InputError(f"hard-light: expected one of {', '.join(HARD)}, got {self.hard!r}")
+        if not (self.pixel_error >= 0.0 and 0.0 < self.hard_error < 1.0):
+            raise InputError(
+                "pixel_error and hard_error: expected 0 or more and between 0 and 1, "
+                f"got {self.pixel_error} and {self.hard_error}"
+            )
+        if self.hard_points not in (4, 16):
+            raise InputError(f"hard_points: expected 4 or 16, got {self.hard_points}")
         if self.visibility not in VISIBILITY:
             raise InputError(f"visibility: expected one of {', '.join(VISIBILITY)}, got {self.visibility!r}")
 

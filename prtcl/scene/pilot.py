@@ -1,0 +1,179 @@
+"""A pilot: points of some of an image's pixels, shaded as the image's would be, against float64 and against each other.
+
+Two questions. *Bias* is what stays however many points a pixel gets: the finite resolution of light and lobe, rays too
+few, what hard light leaves. *Noise* is what more points take away. Both come from products of differences between
+things that were sampled apart, in which what is random has mean zero: of two points of one pixel, each against `Truth`;
+of two means of a pixel's points, each against those of other settings; of these two means against each other.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from prtcl.scene.adapt import MOST_HARD, Exposure
+from prtcl.scene.film import FIRST, Film
+from prtcl.scene.points import pixel_points, shoot
+from prtcl.scene.shaders import Counter, Layer, PixelShader
+from prtcl.scene.tint import Rows
+from prtcl.transport.pipeline import Pipelines, Points
+from prtcl.transport.settings import Settings
+from prtcl.transport.truth import Truth
+
+if TYPE_CHECKING:
+    from prtcl.scene.scene import Scene
+
+Array = npt.NDArray[np.float64]
+
+PIXELS, POINTS = 128, 8
+"""Pixels at which bias is measured, and sub-pixel points of each."""
+AMONG = 64
+"""Points of a pixel that those are drawn from."""
+SAMPLES = 1024
+"""Directions of the reference at each of them, at a time."""
+NOISY = 16
+"""Points of a pixel, twice, that noise is measured of."""
+SEARCHED = 1 << 16
+"""Pixels that are looked at for the mesh, at most."""
+
+
+@dataclass(frozen=True)
+class Squared:
+    """A squared error over the square of the mean, and one standard error of that estimate."""
+
+    value: float
+    uncertain: float
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Of one part of the light.
+
+    Attributes
+    ----------
+    squared : error of a mean of `NOISY` points, over the square of the mean of soft and hard light together
+    seconds : of the wall that a point takes
+    halves : (2, pixels, 3) means of as many points, of points apart
+    """
+
+    squared: Squared
+    seconds: float
+    halves: Array
+
+
+class Pilot:
+    """A sample of what a camera sees.
+
+    Attributes
+    ----------
+    covered : pixels of the whole image that see the mesh, about
+    points : `PIXELS` times `POINTS` of these, but those that miss the mesh
+    truth : (n, 3) float64 radiance of the points, noisy and without bias
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        self.scene, self._rng = scene, np.random.default_rng(0)
+        rng, count = self._rng, scene.camera.size[0] * scene.camera.size[1]
+        looked = (
+            np.arange(count) if count <= SEARCHED else np.sort(rng.choice(count, SEARCHED, replace=False))
+        )
+        hits = shoot(
+            scene.tracer, scene.camera, np.repeat(looked, FIRST), np.tile(np.arange(FIRST), len(looked))
+        )
+        found = looked[np.unique(hits.ray // FIRST)]
+        self.covered = len(found) / len(looked) * count
+        self.pixels = np.sort(rng.choice(found, min(PIXELS, len(found)), replace=False))
+        # Of each pixel others: neighbours in the sequence avoid each other, and the products of their errors would
+        # come out negative.
+        sub = np.argsort(rng.random((len(self.pixels), AMONG)), axis=1)[:, :POINTS].ravel()
+        self._hits = shoot(scene.tracer, scene.camera, np.repeat(self.pixels, POINTS), sub)
+        points = pixel_points(scene.mesh, scene.tracer, self._hits, sub[self._hits.ray], scene.two_sided)
+        self.points, self._pixel = scene.single_material(points), self._hits.ray // POINTS
+        self.truth, self._runs = np.zeros((len(self.points), 3)), 0
+        self.sharpen()
+
+    # --- bias -----------------------------------------------------------------------------------------------
+
+    @cached_property
+    def _truth(self) -> Truth:
+        return Truth(self.scene.environment, self.scene.tracer, self.scene.tints.materials)
+
+    def sharpen(self) -> None:
+        """`SAMPLES` directions more at every point of `truth`."""
+        more = self._tinted(lambda some, _: self._truth.radiance(some, SAMPLES, self._rng))
+        self.truth += (more - self.truth) / (self._runs + 1)
+        self._runs += 1
+
+    @property
+    def mean(self) -> float:
+        """Radiance of the covered pixels, about."""
+        return float(self.truth.sum() / 3.0 / POINTS / len(self.pixels))
+
+    def shade(self, pipelines: Pipelines) -> Array:
+        """(n, 3) radiance of the pilot's points as rendered."""
+        return self._tinted(lambda some, _: pipelines.radiance(self.scene.tracer, some))
+
+    def bias(self, radiance: Array) -> Squared:
+        """What pixels err by in the limit of many points, where their points' radiance (n, 3) is that."""
+        off = (radiance - self.truth) / self.mean
+        count = np.bincount(self._pixel, minlength=len(self.pixels))
+        sums, squares = (
+            np.stack([np.bincount(self._pixel, part[:, c], len(self.pixels)) for c in range(3)])
+            for part in (off, off**2)
+        )
+        two = count > 1
+        # A pixel's mean is over all its points; those that miss the mesh are black, and right.
+        share = (count[two] / POINTS) ** 2 / (count[two] * (count[two] - 1.0))
+        return _squared(((sums**2 - squares)[:, two] * share).mean(axis=0))
+
+    def bias_beside(self, own: Noise, other: Noise) -> Squared:
+        """The same of some settings, beside that of others, from the means of both."""
+        off = (own.halves - other.halves) / self.mean
+        return _squared(off.prod(axis=0).mean(axis=1))
+
+    def _tinted(self, shade: Callable[[Points, Rows], npt.NDArray[np.floating]]) -> Array:
+        mesh, hits = self.scene.mesh, self._hits
+        radiance = self.scene.tints.radiance(
+            shade, self.points, lambda at: mesh.base_colour(hits.face[at], hits.barycentric[at])
+        )
+        return np.asarray(radiance, dtype=np.float64)
+
+    # --- noise ----------------------------------------------------------------------------------------------
+
+    def noise(self, light: Callable[..., npt.NDArray[np.floating]]) -> Noise:
+        """Of soft or hard light, `Pipelines.soft` or `Pipelines.hard`."""
+        size, exposure = (
+            self.scene.camera.size,
+            Exposure(self.scene.device, self.scene.tracer, self.scene.camera),
+        )
+        films = [Film(size, self.pixels, half * MOST_HARD) for half in (0, 1)]
+        start = time.perf_counter()
+        for film in films:
+            exposure.begin(
+                Layer(film, PixelShader(self.scene, light, Counter(None), "pilot"), NOISY, NOISY), NOISY
+            )
+        seconds = (time.perf_counter() - start) / (2 * NOISY * len(self.pixels))
+        halves = np.stack([film.mean() for film in films])
+        apart = (halves[0] - halves[1]) / self.mean
+        return Noise(_squared((apart**2).mean(axis=1) / 2.0), seconds, halves)
+
+
+def _squared(each: Array) -> Squared:
+    """The mean over pixels of what each estimates, and its standard error."""
+    if len(each) < 2:
+        return Squared(0.0, 0.0)
+    return Squared(float(each.mean()), float(each.std(ddof=1) / np.sqrt(len(each))))
+
+
+def pipelines(scene: Scene, settings: list[Settings]) -> Pipelines:
+    """As a render's, on the first of the scene's devices."""
+    return Pipelines(
+        scene.device, scene.environment, scene.tints.materials,
+        [settings[parent] for parent in scene.tints.parent], polar=scene.bake is None,
+    )  # fmt: skip

@@ -1,0 +1,204 @@
+"""The fastest settings that meet an error, found by trying them on a pilot (`prtcl.scene.pilot`).
+
+A pixel's points share what they see of light and shadow, so the number of rays of one point is a trade: fewer rays are
+quicker and noisier, and no more biased, as long as the places of the rays differ from point to point. Which is best
+depends on the picture; the pilot measures bias, noise and time of each number of rays and takes the one whose image is
+expected first. How many points a pixel gets is not decided here: while the image is made, audits steer that
+(`prtcl.scene.steer`).
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import dataclass, replace
+from statistics import NormalDist
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from prtcl import quadtree
+from prtcl.errors import InputError
+from prtcl.scene.adapt import MOST, MOST_HARD
+from prtcl.scene.film import FIRST
+from prtcl.scene.pilot import NOISY, Noise, Pilot, Squared, pipelines
+from prtcl.scene.plan import Plan, Trial
+from prtcl.transport.settings import Settings
+
+if TYPE_CHECKING:
+    from prtcl.scene.scene import Scene
+
+AIM = 0.9
+"""The error aimed at, of that asked for: neither pilot nor audit is exact."""
+RATE = 0.8
+"""Points go as noise squared to this power: of stratified points the squared error falls faster than their number."""
+LEAST_RAYS = 2
+SECONDS, SHARE = 2.0, 0.1
+"""What a pilot may take: seconds, or a share of the job where that is more."""
+GUESS = 0.15
+"""Squared error over what a film estimates, until an audit has measured it; most pictures have more."""
+
+
+def plan_pixels(scene: Scene, error: float, base: list[Settings], fixed: set[str]) -> Plan:
+    """A plan for the camera's pixels.
+
+    Parameters
+    ----------
+    error : relative RMSE asked for
+    base : settings of each material that no error was asked of
+    fixed : names of those that a user fixed by hand
+
+    Raises
+    ------
+    InputError
+        If nothing that was tried meets the error.
+    """
+    start = time.perf_counter()
+    pilot = Pilot(scene)
+    if not pilot.mean > 0.0:  # a black picture has no relative error
+        return finished(scene, error, base, "pixel", Squared(0.0, 0.0), 0.0, 0.0, start, ())
+    made = pipelines(scene, base)
+    radiance, soft_base = pilot.shade(made), pilot.noise(made.soft)
+    hard = pilot.noise(made.hard) if len(made.light.hard) else None
+    allowed = (AIM * error) ** 2
+    tried: list[_Tried] = []
+
+    def spare(share: float) -> bool:
+        """Whether so much of the pilot's time is left."""
+        best = min((one.seconds for one in tried if one.seconds < math.inf), default=0.0)
+        return time.perf_counter() - start < share * max(SECONDS, SHARE * best)
+
+    known = pilot.bias(radiance)
+    for shift in _shifts(base, fixed, error):
+        own = [_shifted(one, shift) for one in base]
+        soft = pilot.noise(pipelines(scene, own).soft) if shift else soft_base
+        off = pilot.bias_beside(soft, soft_base)
+        stays = _told(known) + max(off.value, 0.0) + off.uncertain
+        share, begin, seconds = _expected(pilot.covered, soft, hard, allowed - stays)
+        own = [replace(one, hard_error=share, hard_points=begin) for one in own]
+        tried.append(_Tried(own, off, soft.squared.value, seconds))
+        if seconds < math.inf and (seconds > min(one.seconds for one in tried) or not spare(0.7)):
+            break
+    # What is left of the time tells the bias of all of them better.
+    while known.uncertain > 0.1 * allowed and spare(0.8):
+        pilot.sharpen()
+        known = pilot.bias(radiance)
+    best = min(tried, key=lambda one: one.seconds)
+    bias = Squared(
+        _told(known) + max(best.off.value, 0.0) + best.off.uncertain,
+        math.hypot(known.uncertain, best.off.uncertain),
+    )
+    if not (best.seconds < math.inf and bias.value < allowed):
+        raise InputError(
+            f"error {error:g}: no setting that was tried meets it: about {root(bias.value):.2g} stays however many "
+            "points a pixel gets\nask for more, or fix --levels and --rays by hand"
+        )
+    noise = allowed - bias.value
+    settings = [replace(one, pixel_error=math.sqrt(noise / GUESS)) for one in best.settings]
+    trials = tuple(one.told() for one in tried)
+    return finished(scene, error, settings, "pixel", bias, noise, best.seconds, start, trials)
+
+
+@dataclass(frozen=True)
+class _Tried:
+    """A candidate.
+
+    Attributes
+    ----------
+    off : its bias beside the base settings'
+    noise : of `NOISY` points of soft light, squared
+    seconds : the job's
+    """
+
+    settings: list[Settings]
+    off: Squared
+    noise: float
+    seconds: float
+
+    def told(self) -> Trial:
+        return Trial(
+            f"4^{max(one.rays for one in self.settings)} rays", root(self.off.value), root(self.off.uncertain),
+            root(self.noise), self.seconds,
+        )  # fmt: skip
+
+
+def _told(known: Squared) -> float:
+    """What the reference cannot tell from nothing is not held against the settings; it counts as uncertain."""
+    return known.value if known.value > 2.0 * known.uncertain else 0.0
+
+
+def _shifts(base: list[Settings], fixed: set[str], error: float) -> list[int]:
+    """By how many levels of rays the candidates differ from the base, the likeliest first."""
+    if "rays" in fixed:
+        return [0]
+    finest = max(one.rays for one in base)
+    order = (-2, -3, -1, 0, 1) if error > 0.015 else (-2, -1, -3, 0, 1)
+    return [shift for shift in order if finest + shift >= LEAST_RAYS]
+
+
+def _shifted(one: Settings, shift: int) -> Settings:
+    rays = min(max(one.rays + shift, LEAST_RAYS), quadtree.MAX_LEVELS)
+    return replace(one, rays=rays, levels=max(one.levels, rays))
+
+
+def _expected(covered: float, soft: Noise, hard: Noise | None, allowed: float) -> tuple[float, int, float]:
+    """Share of hard light in a squared error of which `allowed` is left for both, its first points, and the seconds.
+
+    With points N ∝ (v / a)^RATE of each light, for its share a of the squared error, the sum of their costs is least
+    where a ∝ (t v^RATE)^(1 / (1 + RATE)).
+    """
+    if not allowed > 0.0:
+        return 0.5, 16, math.inf
+    lights = [soft] if hard is None else [soft, hard]
+    wants = [(own.seconds * own.squared.value**RATE) ** (1.0 / (1.0 + RATE)) for own in lights]
+    share = min(max(wants[-1] / sum(wants), 0.1), 0.9) if hard is not None and sum(wants) > 0.0 else 0.5
+    parts = (1.0,) if hard is None else (1.0 - share, share)
+    points = [
+        NOISY * (own.squared.value / (part * allowed)) ** RATE
+        for own, part in zip(lights, parts, strict=True)
+    ]
+    begin = 4 if hard is not None and points[1] < 8.0 else 16
+    seconds = 0.0
+    for own, number, first, most in zip(lights, points, (FIRST, begin), (MOST, MOST_HARD), strict=False):
+        seconds += covered * own.seconds * max(number, first)
+        if number > most:
+            return share, begin, math.inf
+    return share, begin, seconds
+
+
+def confidence(asked: float, squared: float, uncertain: float) -> float:
+    """Chance that an error is no more than `asked`, its square being known to a standard error."""
+    if uncertain <= 0.0:
+        return float(squared <= asked**2)
+    return NormalDist(squared, uncertain).cdf(asked**2)
+
+
+def finished(
+    scene: Scene, error: float, settings: list[Settings], points: str, bias: Squared, noise: float, seconds: float,
+    start: float, trials: tuple[Trial, ...],
+) -> Plan:  # fmt: skip
+    """The plan of what a pilot found.
+
+    Parameters
+    ----------
+    noise : squared error that is left to want of points
+    start : when the pilot began, by `time.perf_counter`
+    """
+    squared = max(bias.value, 0.0) + noise
+    # An audit of a hundred pixels tells a squared error to about a quarter.
+    uncertain = math.hypot(bias.uncertain, 0.25 * noise)
+    return Plan(
+        asked=error, settings=tuple(settings), points=points, bias=root(bias.value),
+        bias_uncertain=root(bias.uncertain), predicted=math.sqrt(squared),
+        confidence=confidence(error, squared, uncertain), seconds=seconds,
+        pilot_seconds=time.perf_counter() - start, trials=trials, device=scene.device.name,
+        scene={
+            "mesh": scene.mesh.name, "environment": scene.environment.name,
+            "materials": [own.spec for own in scene.materials],
+        },
+    )  # fmt: skip
+
+
+def root(squared: float) -> float:
+    """Square root of an estimate, whose noise may have made it negative."""
+    return float(np.sqrt(max(squared, 0.0)))
