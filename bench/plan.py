@@ -2,12 +2,12 @@
 
     DRJIT_LIBLLVM_PATH=/path/to/libLLVM-19.so python bench/plan.py [-o bench/results/plan.json] [--size 160x136]
 
-Scenes are those of ../shared/data (`bench/scenes.py`); the first half was looked at while the planner was made, the second
-was not. Truth is Mitsuba 3's, in two halves of `--spp` samples each: the mean product of an image's differences from
-the two is the square of its error, without their noise. A fixed setting is a number of rays, levels of directions, and
-an error that the film's own estimate is refined to (or a fixed number of points), each the same for all pixels; the
-best is the fastest whose true error is no more than what was asked. Times are the wall's, of `Scene.render`, pilot and
-audits included, the scene's BVH and first look at the light not (they are the same for all).
+Scenes are those of ../shared/data (`bench/scenes.py`); the first half was looked at while the planner was made, the
+second was not. Truth is Mitsuba 3's, in two halves of `--spp` samples each: the mean product of an image's differences
+from the two is the square of its error, without their noise. A fixed setting is a number of rays and either an error
+that the film's own estimate is refined to or a number of points that all pixels get; the best is the fastest whose
+true error is no more than what was asked. Times are the wall's, of `Scene.render`, pilot and audits included; the
+scene's BVH and the split of its light, the same for all, are made before.
 """
 
 from __future__ import annotations
@@ -43,8 +43,6 @@ ERRORS = (0.05, 0.02, 0.01)
 RAYS = (2, 3, 4, 5)
 AIMS = (0.014, 0.02, 0.028, 0.04, 0.056, 0.08)
 SAMPLES = (1, 2, 4)
-ALLOWED = 0.015
-"""Fixed settings finer than a plan that came to less than this are not tried: they cannot be the best."""
 
 
 class Truth:
@@ -91,7 +89,10 @@ def main() -> None:
 
 def one_scene(device: Device, mesh: str, environment: str, spec: str, options: argparse.Namespace):  # type: ignore[no-untyped-def]
     """A row for every error asked, and all fixed settings' errors and times."""
-    shape, light = read_mesh(scenes.mesh_path(mesh)), read_environment(scenes.environment_path(environment))[0]
+    shape, light = (
+        read_mesh(scenes.mesh_path(mesh)),
+        read_environment(scenes.environment_path(environment))[0],
+    )
     camera = Camera.framing(shape.bounds, size=options.size)
 
     def made(**settings: float | str | None) -> Scene:
@@ -103,7 +104,9 @@ def one_scene(device: Device, mesh: str, environment: str, spec: str, options: a
     if not options.no_fixed:
         for rays in RAYS:
             for samples in SAMPLES:
-                fixed.append(timed(made(rays=rays), truth, {"rays": rays, "samples": samples}, samples=samples))
+                fixed.append(
+                    timed(made(rays=rays), truth, {"rays": rays, "samples": samples}, samples=samples)
+                )
             for aim in AIMS:
                 found = timed(made(rays=rays, pixel_error=aim), truth, {"rays": rays, "pixel_error": aim})
                 fixed.append(found)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import os
 from dataclasses import asdict, dataclass, field
 from typing import Any
@@ -26,14 +25,14 @@ class Trial:
     bias : relative error that stays however many points a pixel gets; 0 where none could be told
     bias_uncertain : one standard error of its square, square root taken
     noise : relative error of a mean of sixteen points of soft light
-    seconds : that the image is expected to take with it; infinite where it cannot meet the error
+    seconds : that the image is expected to take with it; None where it does not meet the error
     """
 
     name: str
     bias: float
     bias_uncertain: float
     noise: float
-    seconds: float
+    seconds: float | None
 
 
 @dataclass(frozen=True)
@@ -135,7 +134,7 @@ class Plan:
             f"bias against float64 {_percent(self.bias)}, told to {_percent(self.bias_uncertain)}",
         ]
         for trial in self.trials:
-            takes = f"{trial.seconds:.1f} s" if math.isfinite(trial.seconds) else "cannot meet the error"
+            takes = "is not enough" if trial.seconds is None else f"{trial.seconds:.1f} s"
             bias = f"bias {_percent(trial.bias)} ± {_percent(trial.bias_uncertain)}"
             noise = f", noise of 16 points {_percent(trial.noise)}" if self.points == "pixel" else ""
             lines.append(f"tried {trial.name}: {bias}{noise}: {takes}")

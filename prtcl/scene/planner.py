@@ -35,6 +35,8 @@ RATE = 0.8
 LEAST_RAYS = 2
 SECONDS, SHARE = 2.0, 0.1
 """What a pilot may take: seconds, or a share of the job where that is more."""
+STAYS = 0.4
+"""Of the squared error, what the bias of fewer rays than usual may be: more, and it is points that the rest takes."""
 GUESS = 0.15
 """Squared error over what a film estimates, until an audit has measured it; most pictures have more."""
 
@@ -70,11 +72,13 @@ def plan_pixels(scene: Scene, error: float, base: list[Settings], fixed: set[str
 
     known = pilot.bias(radiance)
     for shift in _shifts(base, fixed, error):
-        own = [_shifted(one, shift) for one in base]
+        own = [shifted(one, shift, "levels" in fixed) for one in base]
         soft = pilot.noise(pipelines(scene, own).soft) if shift else soft_base
         off = pilot.bias_beside(soft, soft_base)
         stays = _told(known) + max(off.value, 0.0) + off.uncertain
         share, begin, seconds = _expected(pilot.covered, soft, hard, allowed - stays)
+        if shift < 0 and stays > STAYS * allowed:
+            seconds = math.inf
         own = [replace(one, hard_error=share, hard_points=begin) for one in own]
         tried.append(_Tried(own, off, soft.squared.value, seconds))
         if seconds < math.inf and (seconds > min(one.seconds for one in tried) or not spare(0.7)):
@@ -118,7 +122,7 @@ class _Tried:
     def told(self) -> Trial:
         return Trial(
             f"4^{max(one.rays for one in self.settings)} rays", root(self.off.value), root(self.off.uncertain),
-            root(self.noise), self.seconds,
+            root(self.noise), self.seconds if math.isfinite(self.seconds) else None,
         )  # fmt: skip
 
 
@@ -136,9 +140,11 @@ def _shifts(base: list[Settings], fixed: set[str], error: float) -> list[int]:
     return [shift for shift in order if finest + shift >= LEAST_RAYS]
 
 
-def _shifted(one: Settings, shift: int) -> Settings:
+def shifted(one: Settings, shift: int, levels_fixed: bool) -> Settings:
+    """The same with another number of rays, and levels enough for them unless these are fixed."""
     rays = min(max(one.rays + shift, LEAST_RAYS), quadtree.MAX_LEVELS)
-    return replace(one, rays=rays, levels=max(one.levels, rays))
+    levels = one.levels if levels_fixed else max(one.levels, rays)
+    return replace(one, rays=min(rays, levels), levels=levels)
 
 
 def _expected(covered: float, soft: Noise, hard: Noise | None, allowed: float) -> tuple[float, int, float]:

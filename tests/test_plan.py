@@ -1,0 +1,246 @@
+"""`--error`: what is predicted is what is found, plans are kept and reused, what cannot be met is refused."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import OpenEXR
+import pytest
+from numpy.typing import NDArray
+
+from prtcl.compute.device import Device
+from prtcl.errors import InputError
+from prtcl.factors.environment import Environment
+from prtcl.files.image import read_image
+from prtcl.scene.bake import Bake
+from prtcl.scene.camera import Camera
+from prtcl.scene.mesh import Mesh
+from prtcl.scene.plan import Plan
+from prtcl.scene.planner import confidence
+from prtcl.scene.scene import Render, Scene
+from prtcl.transport.settings import Settings
+
+Image = NDArray[np.float32]
+
+VIEW = Camera((3.1, 2.5, 5.4), (-0.1, 0.75, -0.3), fov=38.0, size=(64, 48))
+GLOSSY = "ggx:alpha=0.3,f0=0.5/0.6/0.3,kd=0.3"
+
+
+def scene(device: Device, mesh: Mesh, sky: Environment, spec: str = GLOSSY, **settings: Any) -> Scene:
+    return Scene(mesh, sky, spec, VIEW, device=device, **settings)
+
+
+@pytest.fixture(scope="module")
+def fine(mesh: Mesh, sky: Environment) -> Image:
+    """The picture at 64 points a pixel, whose rays together are finer than any plan's."""
+    made = Scene(mesh, sky, GLOSSY, VIEW, levels=6, rays=4, keep=6)
+    return made.render(samples=8).image
+
+
+@pytest.fixture(scope="module")
+def planned(mesh: Mesh, sky: Environment) -> Render:
+    return Scene(mesh, sky, GLOSSY, VIEW).render(error=0.02)
+
+
+def error_of(image: Image, fine: Image) -> float:
+    seen = (image[..., 3] > 0) | (fine[..., 3] > 0)
+    off = (image - fine)[seen][:, :3].astype(np.float64)
+    return float(np.sqrt((off**2).mean()) / fine[seen][:, :3].mean())
+
+
+# --- what is predicted ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("asked", [0.05, 0.02])
+def test_predicted_and_true_error_agree(
+    device: Device, mesh: Mesh, sky: Environment, fine: Image, asked: float
+) -> None:
+    render = scene(device, mesh, sky).render(error=asked)
+    assert render.plan is not None
+    true = error_of(render.image, fine)
+    print(f"asked {asked} predicted {render.plan.predicted:.4f} true {true:.4f}")
+    assert 1 / 1.5 < render.plan.predicted / true < 1.5
+    assert render.plan.predicted <= asked
+    assert 0.5 < render.plan.confidence <= 1.0
+
+
+def test_less_error_takes_more_points(device: Device, mesh: Mesh, sky: Environment, planned: Render) -> None:
+    rough = scene(device, mesh, sky).render(error=0.1)
+    assert sum(rough.report["points_shaded"].values()) < 0.7 * sum(planned.report["points_shaded"].values())
+
+
+def test_the_error_picture_adds_up(planned: Render, fine: Image) -> None:
+    """Its root mean square is the predicted error; and the pixels it calls worst err more than the others."""
+    assert planned.error is not None and planned.plan is not None
+    assert planned.error.shape == planned.image.shape[:2] and planned.error.dtype == np.float32
+    seen = planned.image[..., 3] > 0
+    mean = planned.image[seen][:, :3].mean()
+    found = np.sqrt((planned.error[seen].astype(np.float64) ** 2).mean()) / mean
+    assert 0.5 < found / planned.plan.predicted < 2.0
+    off = np.abs((planned.image - fine)[..., :3].mean(axis=2))[seen]
+    worst = planned.error[seen] > np.median(planned.error[seen])
+    assert np.sqrt((off[worst] ** 2).mean()) > 1.5 * np.sqrt((off[~worst] ** 2).mean())
+
+
+def test_the_error_is_a_channel_of_the_file(planned: Render, tmp_path: Path) -> None:
+    planned.save(tmp_path / "with.exr", error=True)
+    planned.save(tmp_path / "without.exr")
+    channels = OpenEXR.File(str(tmp_path / "with.exr"), separate_channels=True).channels()
+    assert set(channels) == {"R", "G", "B", "A", "error"}
+    assert (channels["error"].pixels == planned.error).all()
+    assert "error" not in OpenEXR.File(str(tmp_path / "without.exr"), separate_channels=True).channels()
+    assert (read_image(tmp_path / "with.exr") == read_image(tmp_path / "without.exr")).all()
+    with pytest.raises(InputError, match="holds no estimate"):
+        replace(planned, error=None).save(tmp_path / "none.exr", error=True)
+
+
+def test_without_a_plan_the_error_is_on_the_safe_side(
+    device: Device, mesh: Mesh, sky: Environment, fine: Image
+) -> None:
+    render = scene(device, mesh, sky).render(samples=4)
+    assert render.plan is None and render.error is not None
+    seen = render.image[..., 3] > 0
+    assert np.sqrt((render.error[seen] ** 2).mean()) / render.image[seen][:, :3].mean() > error_of(
+        render.image, fine
+    )
+
+
+def test_vertices_have_a_plan_of_their_own(device: Device, mesh: Mesh, sky: Environment) -> None:
+    """Held against the same vertices at more directions and rays; interpolation is no error."""
+    made = scene(device, mesh, sky)
+    render = made.render(points="vertex", error=0.03)
+    assert render.plan is not None and render.plan.points == "vertex"
+    best = scene(device, mesh, sky, levels=7, rays=7, keep=7, views=256).render(points="vertex")
+    true = error_of(render.image, best.image)
+    print(f"predicted {render.plan.predicted:.4f} true {true:.4f}")
+    assert true < 0.03 and 1 / 2 < render.plan.predicted / true < 2
+
+
+def test_a_bake_has_its_rays_and_a_plan(device: Device, mesh: Mesh, sky: Environment) -> None:
+    render = Scene(Bake.trace(mesh, 5), sky, GLOSSY, VIEW, device=device).render(error=0.1)
+    assert render.plan is not None and render.plan.settings[0].rays == 5
+
+
+def test_every_part_has_settings_of_its_own(device: Device, mesh: Mesh, sky: Environment) -> None:
+    parts = len(mesh.materials)
+    specs = ["lambert:albedo=0.5", "ggx:alpha=0.1,f0=0.9"] * parts
+    render = Scene(mesh, sky, specs[:parts], VIEW, device=device).render(error=0.05)
+    assert render.plan is not None and len(render.plan.settings) == parts
+    assert len({own.levels for own in render.plan.settings}) == 2
+
+
+def test_black_pictures_have_a_plan(device: Device, mesh: Mesh) -> None:
+    render = scene(device, mesh, Environment.constant(0.0)).render(error=0.01)
+    assert render.plan is not None and not render.image[..., :3].any()
+
+
+def test_points_are_audited_whatever_the_hard_light(device: Device, mesh: Mesh) -> None:
+    """A light without peaks has one layer only."""
+    render = scene(device, mesh, Environment.constant(1.0), "lambert:albedo=0.5").render(error=0.02)
+    assert render.plan is not None and render.plan.predicted <= 0.02
+    assert len(render.report["points_per_pixel"]) == 1
+
+
+# --- what cannot be met, and what a user fixes --------------------------------------------------------------
+
+
+def test_an_error_that_nothing_meets_is_refused(device: Device, mesh: Mesh, sky: Environment) -> None:
+    made = scene(device, mesh, sky, "ggx:alpha=0.1,f0=0.9", levels=3, rays=3, keep=3, views=4)
+    with pytest.raises(InputError, match=r"error 0.001: no setting that was tried meets it"):
+        made.render(error=0.001)
+    vertices = scene(device, mesh, sky, rays=2)
+    with pytest.raises(InputError, match=r"error 0.001: no setting that was tried meets it"):
+        vertices.render(points="vertex", error=0.001)
+
+
+@pytest.mark.parametrize("error", [0.0, -1.0, 1.0, float("nan"), float("inf")])
+def test_errors_out_of_range_are_refused(device: Device, mesh: Mesh, sky: Environment, error: float) -> None:
+    with pytest.raises(InputError, match="between 0 and 1"):
+        scene(device, mesh, sky).render(error=error)
+
+
+def test_points_are_fixed_or_sought(device: Device, mesh: Mesh, sky: Environment) -> None:
+    with pytest.raises(InputError, match="samples and error"):
+        scene(device, mesh, sky).render(samples=2, error=0.1)
+
+
+def test_what_is_fixed_by_hand_stays(device: Device, mesh: Mesh, sky: Environment) -> None:
+    made = scene(device, mesh, sky, rays=4, levels=6)
+    plan = made.plan(0.05)
+    assert {own.rays for own in plan.settings} == {4} and {own.levels for own in plan.settings} == {6}
+    assert len(plan.trials) == 1
+
+
+def test_confidence_is_that_of_a_normal_error() -> None:
+    assert confidence(0.01, 1e-4, 1e-5) == 0.5
+    assert abs(confidence(0.01, 1e-4 - 1e-5, 1e-5) - 0.8413) < 1e-4
+    assert confidence(0.01, 2e-4, 0.0) == 0.0 and confidence(0.01, 0.5e-4, 0.0) == 1.0
+
+
+# --- plans kept ----------------------------------------------------------------------------------------------
+
+
+def test_a_plan_reused_gives_the_same_bytes(
+    device: Device, mesh: Mesh, sky: Environment, planned: Render
+) -> None:
+    """No pilot, no audit, nothing timed: settings alone."""
+    assert planned.plan is not None and planned.plan.steered
+    first, second = (scene(device, mesh, sky).render(plan=planned.plan) for _ in (0, 1))
+    assert (first.image == second.image).all() and (first.error == second.error).all()
+    assert first.report["plan"]["audits"] == 0
+
+
+def test_a_plan_reused_errs_as_it_says(
+    device: Device, mesh: Mesh, sky: Environment, planned: Render, fine: Image
+) -> None:
+    assert planned.plan is not None
+    again = scene(device, mesh, sky).render(plan=planned.plan)
+    assert 1 / 1.5 < planned.plan.predicted / error_of(again.image, fine) < 1.5
+
+
+def test_a_plan_from_before_is_steered(device: Device, mesh: Mesh, sky: Environment) -> None:
+    made = scene(device, mesh, sky)
+    plan = made.plan(0.05)
+    assert not plan.steered
+    render = made.render(plan=plan)
+    assert render.plan is not None and render.plan.steered and render.report["plan"]["audits"] > 0
+
+
+def test_a_plan_is_kept_in_a_file(planned: Render, tmp_path: Path) -> None:
+    assert planned.plan is not None
+    planned.plan.save(tmp_path / "plan.json")
+    assert Plan.load(tmp_path / "plan.json") == planned.plan
+    assert len(planned.plan.explain()) == 2 + len(planned.plan.trials)
+
+
+def test_files_that_are_no_plans_are_refused(planned: Render, tmp_path: Path) -> None:
+    assert planned.plan is not None
+    path = tmp_path / "plan.json"
+    planned.plan.save(path)
+    whole = path.read_text()
+    data = json.loads(whole)
+    changes: list[dict[str, object]] = [
+        {"format": 99}, {"settings": []}, {"settings": [{"levels": 99}]}, {"points": "voxel"}, {"surprise": 1},
+    ]  # fmt: skip
+    broken = ["", "[]", "{}", whole[: len(whole) // 2], *(json.dumps({**data, **own}) for own in changes)]
+    for text in broken:
+        path.write_text(text)
+        with pytest.raises(InputError, match=r"plan\.json|levels"):
+            Plan.load(path)
+    with pytest.raises(InputError, match="cannot be read"):
+        Plan.load(tmp_path / "missing.json")
+
+
+def test_a_plan_of_other_points_or_materials_is_refused(
+    device: Device, mesh: Mesh, sky: Environment, planned: Render
+) -> None:
+    plan = planned.plan
+    assert plan is not None
+    with pytest.raises(InputError, match="plan: made for the pixel points of 1 materials, got vertex"):
+        scene(device, mesh, sky).render(points="vertex", plan=plan)
+    with pytest.raises(InputError, match="plan: made for the pixel points of 2 materials"):
+        scene(device, mesh, sky).render(plan=replace(plan, settings=(Settings(), Settings())))
