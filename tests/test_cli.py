@@ -155,7 +155,12 @@ def test_options_reach_the_scene(
     ran = run(*tiny, *options.split(), "-o", files / "out" / "a.exr")
     assert ran.err == "prtcl render: enough\n"
     [(scene, given)] = seen
-    assert given.pop("progress") is not None and given == {"points": "vertex", "samples": 3}
+    assert given.pop("progress") is not None and given == {
+        "points": "vertex",
+        "samples": 3,
+        "error": None,
+        "plan": None,
+    }
     camera, own = scene.camera, scene.settings[0][0]
     assert camera.eye == (-3.0, -0.1, 0.5) and camera.target == (-0.25, 0.0, 0.01)
     assert camera.up == (0.0, 0.0, 1.0) and camera.fov == 25.0 and camera.size == (12, 8)

@@ -22,6 +22,7 @@ from prtcl.scene.mesh import Mesh
 from prtcl.scene.plan import Plan
 from prtcl.scene.planner import confidence
 from prtcl.scene.scene import Render, Scene
+from prtcl.scene.session import Session
 from prtcl.transport.settings import Settings
 
 Image = NDArray[np.float32]
@@ -145,6 +146,25 @@ def test_points_are_audited_whatever_the_hard_light(device: Device, mesh: Mesh) 
     assert len(render.report["points_per_pixel"]) == 1
 
 
+@pytest.mark.parametrize("asked", [0.05, 0.02])
+def test_a_session_has_a_plan(device: Device, mesh: Mesh, sky: Environment, asked: float) -> None:
+    """Its vertices against float64 at many more directions."""
+    session = Session.planned(mesh, sky, GLOSSY, VIEW, error=asked, device=device)
+    plan = session.plan
+    assert plan is not None and plan.predicted <= asked and 0.0 < plan.error < asked
+    fine = Session(mesh, sky, GLOSSY, VIEW, device=device, levels=7, error=0.0)
+    true = error_of(session.view().image, fine.view().image)
+    print(f"asked {asked}: 4^{plan.levels}, 4^{plan.rays}, predicted {plan.predicted:.4f} true {true:.4f}")
+    assert true < asked and plan.predicted / true < 3.0
+
+
+def test_what_is_fixed_of_a_session_stays(device: Device, mesh: Mesh, sky: Environment) -> None:
+    plan = Session.planned(mesh, sky, GLOSSY, VIEW, error=0.1, device=device, levels=6, rays=4).plan
+    assert plan is not None and (plan.levels, plan.rays) == (6, 4)
+    plan = Session.planned(Bake.trace(mesh, 4), sky, GLOSSY, VIEW, error=0.1, device=device).plan
+    assert plan is not None and plan.rays == 4
+
+
 # --- what cannot be met, and what a user fixes --------------------------------------------------------------
 
 
@@ -152,8 +172,10 @@ def test_an_error_that_nothing_meets_is_refused(device: Device, mesh: Mesh, sky:
     made = scene(device, mesh, sky, "ggx:alpha=0.1,f0=0.9", levels=3, rays=3, keep=3, views=4)
     with pytest.raises(InputError, match=r"error 0.001: no setting that was tried meets it"):
         made.render(error=0.001)
+    with pytest.raises(InputError, match=r"no setting that was tried meets it"):
+        Session.planned(mesh, sky, GLOSSY, VIEW, error=0.001, device=device, levels=3, rays=2)
     vertices = scene(device, mesh, sky, rays=2)
-    with pytest.raises(InputError, match=r"error 0.001: no setting that was tried meets it"):
+    with pytest.raises(InputError, match=r"no setting that was tried meets it"):
         vertices.render(points="vertex", error=0.001)
 
 

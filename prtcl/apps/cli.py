@@ -230,7 +230,11 @@ def _view_parser(commands: Any) -> None:
     )  # fmt: skip
     view.add_argument("--rays", type=int, metavar="R", help="visibility on 4^R directions (default: 5)")
     view.add_argument(
-        "--error", type=float, default=0.01, metavar="E", help="relative, of the cuts (default: 0.01)"
+        "--error",
+        type=float,
+        metavar="E",
+        help="relative RMSE to aim for: finds the levels and rays that meet it (default: --levels and --rays as they "
+        "are, and cuts of 0.01; 0 takes every sample)",
     )
     view.add_argument(
         "--host", default="127.0.0.1", help="address to listen at (default: 127.0.0.1, this machine only)"

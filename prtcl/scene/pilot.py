@@ -130,12 +130,12 @@ class Pilot:
         two = count > 1
         # A pixel's mean is over all its points; those that miss the mesh are black, and right.
         share = (count[two] / POINTS) ** 2 / (count[two] * (count[two] - 1.0))
-        return _squared(((sums**2 - squares)[:, two] * share).mean(axis=0))
+        return squared(((sums**2 - squares)[:, two] * share).mean(axis=0))
 
     def bias_beside(self, own: Noise, other: Noise) -> Squared:
         """The same of some settings, beside that of others, from the means of both."""
         off = (own.halves - other.halves) / self.mean
-        return _squared(off.prod(axis=0).mean(axis=1))
+        return squared(off.prod(axis=0).mean(axis=1))
 
     def _tinted(self, shade: Callable[[Points, Rows], npt.NDArray[np.floating]]) -> Array:
         mesh, hits = self.scene.mesh, self._hits
@@ -161,14 +161,19 @@ class Pilot:
         seconds = (time.perf_counter() - start) / (2 * NOISY * len(self.pixels))
         halves = np.stack([film.mean() for film in films])
         apart = (halves[0] - halves[1]) / self.mean
-        return Noise(_squared((apart**2).mean(axis=1) / 2.0), seconds, halves)
+        return Noise(squared((apart**2).mean(axis=1) / 2.0), seconds, halves)
 
 
-def _squared(each: Array) -> Squared:
+def squared(each: Array) -> Squared:
     """The mean over pixels of what each estimates, and its standard error."""
     if len(each) < 2:
         return Squared(0.0, 0.0)
     return Squared(float(each.mean()), float(each.std(ddof=1) / np.sqrt(len(each))))
+
+
+def told(known: Squared) -> float:
+    """What the reference cannot tell from nothing is not held against settings; it counts as uncertain."""
+    return known.value if known.value > 2.0 * known.uncertain else 0.0
 
 
 def pipelines(scene: Scene, settings: list[Settings]) -> Pipelines:

@@ -10,11 +10,11 @@ import numpy as np
 import numpy.typing as npt
 
 from prtcl import quadtree
-from prtcl.errors import InputError
 from prtcl.factors.visibility import Tracer
-from prtcl.scene.pilot import SAMPLES, SEARCHED, Squared, pipelines
-from prtcl.scene.plan import Plan, Trial
-from prtcl.scene.planner import AIM, SECONDS, SHARE, finished, root, shifted
+from prtcl.scene.ladder import coarsest
+from prtcl.scene.pilot import SAMPLES, SEARCHED, pipelines
+from prtcl.scene.plan import Plan
+from prtcl.scene.planner import AIM, finished, shifted
 from prtcl.scene.points import shoot, vertex_points, with_eye
 from prtcl.scene.tint import Rows
 from prtcl.transport.pipeline import Pipelines, Points
@@ -45,34 +45,20 @@ def plan_vertices(scene: Scene, error: float, base: list[Settings], fixed: set[s
     def colour(at: npt.NDArray[np.intp]) -> npt.NDArray[np.floating]:
         return scene.mesh.vertex_colour(chosen[at])
 
-    halves = [
-        scene.tints.radiance(lambda some, _: truth.radiance(some, SAMPLES, rng), points, colour)
-        for _ in (0, 1)
-    ]
-    mean = float(np.mean(halves))
-    trials: list[Trial] = []
-    for own in _candidates(base, fixed):
-        began = time.perf_counter()
-        shade = partial(_shade, pipelines(scene, own), scene.tracer, bits)
-        got = scene.tints.radiance(shade, points, colour)
-        seconds = (time.perf_counter() - began) / len(chosen) * len(seen)
-        each = np.prod([(got - half) / max(mean, 1e-300) for half in halves], axis=0).mean(axis=1)
-        off = Squared(float(each.mean()), float(each.std() / np.sqrt(len(each))))
-        name = f"4^{max(one.levels for one in own)} directions, 4^{max(one.rays for one in own)} rays"
-        # What the reference cannot tell counts as an error: there is no audit later on.
-        off = Squared(max(off.value, 0.0) + off.uncertain, off.uncertain)
-        met = off.value <= (AIM * error) ** 2
-        trials.append(Trial(name, root(off.value), root(off.uncertain), 0.0, seconds if met else None))
-        if met or time.perf_counter() - start > max(SECONDS, SHARE * seconds):
-            break
-    # From coarse to fine: the first that meets the error was the last to be tried.
-    last = trials[-1]
-    if last.seconds is None:
-        raise InputError(
-            f"error {error:g}: no setting that was tried meets it: {last.name} err {last.bias:.2g}\n"
-            "ask for more, render --points pixel, or fix --levels and --rays by hand"
-        )
-    return finished(scene, error, own, "vertex", off, 0.0, last.seconds, start, tuple(trials))
+    def shade(own: list[Settings]) -> npt.NDArray[np.floating]:
+        own_shade = partial(_shade, pipelines(scene, own), scene.tracer, bits)
+        return scene.tints.radiance(own_shade, points, colour)
+
+    found = coarsest(
+        _candidates(base, fixed),
+        lambda own: f"4^{max(one.levels for one in own)} directions, 4^{max(one.rays for one in own)} rays",
+        shade,
+        lambda: scene.tints.radiance(lambda some, _: truth.radiance(some, SAMPLES, rng), points, colour),
+        AIM * error, len(seen), "ask for more, render --points pixel, or fix --levels and --rays by hand",
+    )  # fmt: skip
+    return finished(
+        scene, error, found.candidate, "vertex", found.squared, 0.0, found.seconds, start, found.trials
+    )
 
 
 def _shade(

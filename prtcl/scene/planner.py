@@ -21,7 +21,7 @@ from prtcl import quadtree
 from prtcl.errors import InputError
 from prtcl.scene.adapt import MOST, MOST_HARD
 from prtcl.scene.film import FIRST
-from prtcl.scene.pilot import NOISY, Noise, Pilot, Squared, pipelines
+from prtcl.scene.pilot import NOISY, Noise, Pilot, Squared, pipelines, told
 from prtcl.scene.plan import Plan, Trial
 from prtcl.transport.settings import Settings
 
@@ -75,7 +75,7 @@ def plan_pixels(scene: Scene, error: float, base: list[Settings], fixed: set[str
         own = [shifted(one, shift, "levels" in fixed) for one in base]
         soft = pilot.noise(pipelines(scene, own).soft) if shift else soft_base
         off = pilot.bias_beside(soft, soft_base)
-        stays = _told(known) + max(off.value, 0.0) + off.uncertain
+        stays = told(known) + max(off.value, 0.0) + off.uncertain
         share, begin, seconds = _expected(pilot.covered, soft, hard, allowed - stays)
         if shift < 0 and stays > STAYS * allowed:
             seconds = math.inf
@@ -89,7 +89,7 @@ def plan_pixels(scene: Scene, error: float, base: list[Settings], fixed: set[str
         known = pilot.bias(radiance)
     best = min(tried, key=lambda one: one.seconds)
     bias = Squared(
-        _told(known) + max(best.off.value, 0.0) + best.off.uncertain,
+        told(known) + max(best.off.value, 0.0) + best.off.uncertain,
         math.hypot(known.uncertain, best.off.uncertain),
     )
     if not (best.seconds < math.inf and bias.value < allowed):
@@ -124,11 +124,6 @@ class _Tried:
             f"4^{max(one.rays for one in self.settings)} rays", root(self.off.value), root(self.off.uncertain),
             root(self.noise), self.seconds if math.isfinite(self.seconds) else None,
         )  # fmt: skip
-
-
-def _told(known: Squared) -> float:
-    """What the reference cannot tell from nothing is not held against the settings; it counts as uncertain."""
-    return known.value if known.value > 2.0 * known.uncertain else 0.0
 
 
 def _shifts(base: list[Settings], fixed: set[str], error: float) -> list[int]:

@@ -21,6 +21,7 @@ from prtcl.factors.visibility import Progress, Tracer
 from prtcl.scene.bake import Bake, read_mesh_or_bake
 from prtcl.scene.camera import Camera, Triple
 from prtcl.scene.mesh import Mesh
+from prtcl.scene.plan_session import SessionPlan, plan_session
 from prtcl.scene.points import back_origins, vertex_points
 from prtcl.scene.scene import Path, Render, own_materials, read_environment
 from prtcl.scene.table_edits import edited
@@ -83,6 +84,7 @@ class Session:
     Attributes
     ----------
     last : Work, what the last view recomputed and how long that took
+    plan : SessionPlan, why these levels and rays, or None where they were given
 
     Examples
     --------
@@ -121,6 +123,7 @@ class Session:
         self.camera = camera or Camera.framing(self.mesh.bounds)
         self.notes = list(self.mesh.notes)
         self.last = Work()
+        self.plan: SessionPlan | None = None
         self._pending = Work()
         self._snapshots: dict[str, tuple[Material, ...]] = {}
         self._past: list[tuple[Material, ...]] = []
@@ -142,6 +145,53 @@ class Session:
         self.notes += colour_notes(self._materials, self.mesh)
         self.error = error
         self.light = light
+
+    @classmethod
+    def planned(
+        cls,
+        mesh: Mesh | Bake | Path,
+        light: Environment | Path | npt.NDArray[Any],
+        material: str | Material | Sequence[str | Material] | None = None,
+        camera: Camera | None = None,
+        *,
+        error: float,
+        device: Device | None = None,
+        smooth: bool = False,
+        **settings: Any,
+    ) -> Session:
+        """A session whose vertices' radiance errs by `error` in all, seen from the first view.
+
+        `levels`, `rays` and the cuts' error are chosen by a pilot (`prtcl.scene.plan_session`), unless given; the plan
+        is the session's `plan`. Another light or a sharper material may err more: the plan is of those given.
+
+        Raises
+        ------
+        InputError
+            As the constructor's, and if nothing meets the error.
+        """
+        shape, bake = read_mesh_or_bake(mesh)
+        shape = shape.smooth() if smooth or shape.normals is None else shape
+        environment, _ = read_environment(light)
+        if material is None or isinstance(material, str | Material):
+            own = (
+                own_materials(shape)
+                if material is None
+                else [Material.parse(material)] * len(shape.materials)
+            )
+        else:
+            own = [Material.parse(one) for one in material]
+        device = device or Device()
+        camera = camera or Camera.framing(shape.bounds)
+        plan = plan_session(
+            shape, environment, own, camera.eye, error, device=device, levels=settings.pop("levels", None),
+            rays=settings.pop("rays", None) if bake is None else bake.rays,
+        )  # fmt: skip
+        session = cls(
+            shape if bake is None else bake, environment, material, camera, device=device, levels=plan.levels,
+            rays=None if bake is not None else plan.rays, error=plan.error, **settings,
+        )  # fmt: skip
+        session.plan = plan
+        return session
 
     # --- what changes ---------------------------------------------------------------------------------------
 

@@ -10,6 +10,7 @@ import threading
 import webbrowser
 from collections.abc import Callable
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +30,9 @@ from prtcl.factors.visibility import Progress
 from prtcl.scene.bake import Bake, is_bake
 from prtcl.scene.camera import Camera
 from prtcl.scene.mesh import Mesh, read_mesh
+from prtcl.scene.plan_session import plan_session
 from prtcl.scene.scene import own_materials
+from prtcl.scene.session import ERROR
 from prtcl.scene.shaders import Counter
 
 ENDINGS = (".exr", ".hdr")
@@ -48,7 +51,8 @@ def run(options: argparse.Namespace) -> int:
     studio = Studio(
         mesh, environments, Device(options.device), bake=bake, levels=options.levels,
         rays=RAYS if options.rays is None else options.rays,
-        error=options.error, size=options.size, up=options.env_up, repair=options.repair,
+        error=ERROR if options.error is None else options.error, size=options.size, up=options.env_up,
+        repair=options.repair,
     )  # fmt: skip
     first = next(iter(environments))
     notes = studio.environment(first)[2]  # read now, so that a bad one is told here
@@ -56,6 +60,19 @@ def run(options: argparse.Namespace) -> int:
         print(f"prtcl view: {note}", file=sys.stderr)
     up = (0.0, 0.0, 1.0) if options.env_up == "z" else (0.0, 1.0, 0.0)
     camera = Camera.framing(mesh.bounds, up=up, fov=FOV, size=(1, 1))
+    if options.error:
+        light = replace(studio.environment(first)[0], rotate=options.env_rotate)
+        plan = plan_session(
+            mesh, light, [look.material for look in looks], camera.eye, options.error, device=studio.device,
+            levels=options.levels, rays=options.rays if bake is None else bake.rays,
+        )  # fmt: skip
+        studio.levels, studio.rays, studio.error = plan.levels, plan.rays, plan.error
+        if not options.quiet:
+            print(
+                f"prtcl view: {plan.trials[-1].name}, cuts of {100 * plan.error:.2g} %: vertices are expected to "
+                f"err by {100 * plan.predicted:.2g} % ({100 * plan.confidence:.0f} % confidence)",
+                file=sys.stderr,
+            )
     server = web.start(options.host, options.port, camera, Eye.of(camera).fov)
     loop = Loop(studio)
     try:
@@ -94,7 +111,7 @@ def check(options: argparse.Namespace) -> None:
     most = quadtree.MAX_LEVELS if levels is None else levels
     if options.rays is not None and not 1 <= options.rays <= most:
         raise InputError(f"--rays: expected 1 to {most}, at most --levels, got {options.rays}")
-    if not 0.0 <= options.error < 1.0:
+    if options.error is not None and not 0.0 <= options.error < 1.0:
         raise InputError(f"--error: expected 0 or more and below 1, got {options.error}")
     if not math.isfinite(options.env_rotate):
         raise InputError(f"--env-rotate: expected degrees, got {options.env_rotate}")
