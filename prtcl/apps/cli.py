@@ -1,4 +1,4 @@
-"""The command line: `prtcl demo | render | bake | fit | view | brdf | bench | stress | devices`.
+"""The command line: `prtcl demo | render | bake | fit | view | brdf | bench | report | stress | devices`.
 
 Exit status: 0 done, 1 the job failed, 2 the input or the command line was wrong. An error is one or two lines that
 name the file or the option and say what to do.
@@ -154,6 +154,7 @@ def parser() -> Parser:
     _view_parser(commands)
     _brdf_parser(commands)
     _bench_parser(commands)
+    _report_parser(commands)
     _stress_parser(commands)
 
     devices = commands.add_parser("devices", help="what OpenCL sees, which is used, why")
@@ -308,6 +309,22 @@ def _bench_parser(commands: Any) -> None:
     bench.set_defaults(run=_bench)
 
 
+def _report_parser(commands: Any) -> None:
+    report = commands.add_parser("report", help="error against run time for a scene, material by material")
+    report.add_argument("mesh", metavar="MESH", help="OBJ, PLY, STL, GLB, glTF")
+    report.add_argument("--env", required=True, metavar="ENV", help="equirectangular EXR or HDR map")
+    report.add_argument(
+        "-o", "--output", required=True, metavar="DIR", help="report.html, report.json, and plots"
+    )
+    report.add_argument(
+        "--error", type=float, default=0.02, metavar="E", help="that the plan aims for (default: %(default)s)"
+    )
+    _scene(report, several=True, pixels=(256, 256))
+    _device(report)
+    _common(report)
+    report.set_defaults(run=_report)
+
+
 def _stress_parser(commands: Any) -> None:
     stress = commands.add_parser(
         "stress", help="numerical stability: stiff and extreme cases against float64, with their bounds"
@@ -386,13 +403,23 @@ def _common(command: argparse.ArgumentParser) -> None:
     command.add_argument("--json", action="store_true", help="the run's report as JSON on standard output")
 
 
-def _scene(command: argparse.ArgumentParser) -> None:
-    """Options that say what is rendered and how finely."""
+def _scene(
+    command: argparse.ArgumentParser, several: bool = False, pixels: tuple[int, int] = (512, 512)
+) -> None:
+    """Options that say what is rendered and how finely.
+
+    Parameters
+    ----------
+    several : whether --brdf takes more than one
+    pixels : --size by default
+    """
     from prtcl.factors.material import FORMS
 
+    more: dict[str, Any] = {"nargs": "+", "action": "extend"} if several else {}
     command.add_argument(
-        "--brdf", metavar="SPEC", help=f"{FORMS}; a number may be r/g/b (default: the mesh's glTF materials)"
-    )
+        "--brdf", metavar="SPEC", **more,
+        help=f"{FORMS}; a number may be r/g/b (default: the mesh's glTF materials)",
+    )  # fmt: skip
     command.add_argument("--env-rotate", type=float, default=0.0, metavar="DEG",
                          help="turn the environment about the up axis, counter-clockwise from above")  # fmt: skip
     command.add_argument(
@@ -403,7 +430,7 @@ def _scene(command: argparse.ArgumentParser) -> None:
         command.add_argument(f"--{name}", nargs=3, type=float, metavar=("X", "Y", "Z"))
     command.add_argument("--fov", type=float, default=40.0, metavar="DEG", help="horizontal (default: 40)")
     command.add_argument(
-        "--size", type=size, default=(512, 512), metavar="WxH", help="pixels (default: 512x512)"
+        "--size", type=size, default=pixels, metavar="WxH", help=f"pixels (default: {pixels[0]}x{pixels[1]})"
     )
     command.add_argument("--samples", type=int, metavar="N", help="N x N sub-pixel points (default: adapts)")
     command.add_argument(
@@ -493,6 +520,10 @@ def _brdf(options: argparse.Namespace) -> int:
 
 def _bench(options: argparse.Namespace) -> int:
     return _command("bench.command")(options)
+
+
+def _report(options: argparse.Namespace) -> int:
+    return _command("report.command")(options)
 
 
 def _stress(options: argparse.Namespace) -> int:

@@ -7,15 +7,14 @@ import json
 import sys
 from pathlib import Path
 
-from prtcl.apps.bake_options import read_bake
 from prtcl.apps.progress import bar
+from prtcl.apps.scene_options import scene_of
 from prtcl.compute.device import Device
 from prtcl.errors import InputError
 from prtcl.files.atomic import check_not_input, check_writable
 from prtcl.scene.bake import is_bake
-from prtcl.scene.camera import Camera
 from prtcl.scene.plan import Plan
-from prtcl.scene.scene import Render, Scene, read_environment
+from prtcl.scene.scene import Render
 
 
 def run(options: argparse.Namespace) -> int:
@@ -38,29 +37,9 @@ def run(options: argparse.Namespace) -> int:
         raise InputError(
             f"--points pixel: {options.mesh} holds the rays of vertices, not of pixels; render the mesh it was made of"
         )
-    mesh = read_bake(options.mesh, options.rays, options.smooth) if is_bake(options.mesh) else options.mesh
     devices = [Device(spec, precision=options.precision) for spec in options.device or [None]]
-    environment, notes = read_environment(
-        options.env, rotate=options.env_rotate, up=options.env_up, repair=options.repair
-    )
     plan = None if options.plan is None else Plan.load(options.plan)
-    scene = Scene(
-        mesh, environment, options.brdf, device=devices, two_sided=not options.one_sided,
-        smooth=options.smooth, levels=options.levels, rays=options.rays, keep=options.keep, views=options.views,
-        method=options.method, hard=options.hard_light, visibility=options.visibility,
-    )  # fmt: skip
-    scene.notes += notes
-    default_up = (0.0, 0.0, 1.0) if options.env_up == "z" else (0.0, 1.0, 0.0)
-    scene.camera = Camera.framing(
-        scene.mesh.bounds,
-        eye=None if options.eye is None else tuple(options.eye),
-        target=None if options.target is None else tuple(options.target),
-        up=default_up if options.up is None else tuple(options.up),
-        fov=options.fov,
-        size=options.size,
-    )
-    for note in scene.notes:
-        print(f"prtcl render: {note}", file=sys.stderr)
+    scene = scene_of(options, devices, options.brdf)
     with bar("render", options.quiet) as notify:
         render = scene.render(
             points=options.points or (plan.points if plan is not None else "pixel"), samples=options.samples,

@@ -19,7 +19,7 @@ import numpy.typing as npt
 
 from prtcl.scene.adapt import MOST_HARD, Exposure
 from prtcl.scene.film import FIRST, Film
-from prtcl.scene.points import pixel_points, shoot
+from prtcl.scene.points import Hits, pixel_points, shoot
 from prtcl.scene.shaders import Counter, Layer, PixelShader
 from prtcl.scene.tint import Rows
 from prtcl.transport.pipeline import Pipelines, Points
@@ -70,14 +70,18 @@ class Noise:
 class Pilot:
     """A sample of what a camera sees.
 
+    Parameters
+    ----------
+    pixels : of the sample, at most
+
     Attributes
     ----------
     covered : pixels of the whole image that see the mesh, about
-    points : `PIXELS` times `POINTS` of these, but those that miss the mesh
+    points : `POINTS` of each pixel of the sample, but those that miss the mesh
     truth : (n, 3) float64 radiance of the points, noisy and without bias
     """
 
-    def __init__(self, scene: Scene) -> None:
+    def __init__(self, scene: Scene, pixels: int = PIXELS) -> None:
         self.scene, self._rng = scene, np.random.default_rng(0)
         rng, count = self._rng, scene.camera.size[0] * scene.camera.size[1]
         looked = (
@@ -88,15 +92,22 @@ class Pilot:
         )
         found = looked[np.unique(hits.ray // FIRST)]
         self.covered = len(found) / len(looked) * count
-        self.pixels = np.sort(rng.choice(found, min(PIXELS, len(found)), replace=False))
+        self.pixels = np.sort(rng.choice(found, min(pixels, len(found)), replace=False))
         # Of each pixel others: neighbours in the sequence avoid each other, and the products of their errors would
         # come out negative.
         sub = np.argsort(rng.random((len(self.pixels), AMONG)), axis=1)[:, :POINTS].ravel()
-        self._hits = shoot(scene.tracer, scene.camera, np.repeat(self.pixels, POINTS), sub)
-        points = pixel_points(scene.mesh, scene.tracer, self._hits, sub[self._hits.ray], scene.two_sided)
-        self.points, self._pixel = scene.single_material(points), self._hits.ray // POINTS
+        self.points, self._pixel, self._hits = self._seen(np.repeat(np.arange(len(self.pixels)), POINTS), sub)
         self.truth, self._runs = np.zeros((len(self.points), 3)), 0
         self.sharpen()
+
+    def _seen(
+        self, pixel: npt.NDArray[np.int64], sub: npt.NDArray[np.int64]
+    ) -> tuple[Points, npt.NDArray[np.int64], Hits]:
+        """Points where some of the pixels' rays hit, and the pixel of each."""
+        scene = self.scene
+        hits = shoot(scene.tracer, scene.camera, self.pixels[pixel], sub)
+        points = pixel_points(scene.mesh, scene.tracer, hits, sub[hits.ray], scene.two_sided)
+        return scene.single_material(points), pixel[hits.ray], hits
 
     # --- bias -----------------------------------------------------------------------------------------------
 
@@ -106,7 +117,7 @@ class Pilot:
 
     def sharpen(self) -> None:
         """`SAMPLES` directions more at every point of `truth`."""
-        more = self._tinted(lambda some, _: self._truth.radiance(some, SAMPLES, self._rng))
+        more = self._true(self.points, self._hits, SAMPLES)
         self.truth += (more - self.truth) / (self._runs + 1)
         self._runs += 1
 
@@ -117,7 +128,9 @@ class Pilot:
 
     def shade(self, pipelines: Pipelines) -> Array:
         """(n, 3) radiance of the pilot's points as rendered."""
-        return self._tinted(lambda some, _: pipelines.radiance(self.scene.tracer, some))
+        return self._tinted(
+            lambda some, _: pipelines.radiance(self.scene.tracer, some), self.points, self._hits
+        )
 
     def bias(self, radiance: Array) -> Squared:
         """What pixels err by in the limit of many points, where their points' radiance (n, 3) is that."""
@@ -137,10 +150,27 @@ class Pilot:
         off = (own.halves - other.halves) / self.mean
         return squared(off.prod(axis=0).mean(axis=1))
 
-    def _tinted(self, shade: Callable[[Points, Rows], npt.NDArray[np.floating]]) -> Array:
-        mesh, hits = self.scene.mesh, self._hits
+    def true_pixels(self, each: int, samples: int, first: int) -> Array:
+        """(pixels, 3) means of `each` points from number `first` on, by `Truth` with `samples` directions each."""
+        out, step = np.zeros((len(self.pixels), 3)), max(1, (1 << 15) // each)
+        for start in range(0, len(self.pixels), step):
+            pixel = np.repeat(np.arange(start, min(start + step, len(self.pixels))), each)
+            sub = first + np.tile(np.arange(each), len(pixel) // each)
+            points, of, hits = self._seen(pixel, sub)
+            radiance = self._true(points, hits, samples)
+            for channel in range(3):
+                out[:, channel] += np.bincount(of, radiance[:, channel], len(out)) / each
+        return out
+
+    def _true(self, points: Points, hits: Hits, samples: int) -> Array:
+        return self._tinted(lambda some, _: self._truth.radiance(some, samples, self._rng), points, hits)
+
+    def _tinted(
+        self, shade: Callable[[Points, Rows], npt.NDArray[np.floating]], points: Points, hits: Hits
+    ) -> Array:
+        mesh = self.scene.mesh
         radiance = self.scene.tints.radiance(
-            shade, self.points, lambda at: mesh.base_colour(hits.face[at], hits.barycentric[at])
+            shade, points, lambda at: mesh.base_colour(hits.face[at], hits.barycentric[at])
         )
         return np.asarray(radiance, dtype=np.float64)
 

@@ -15,6 +15,18 @@ from prtcl.transport.settings import Settings
 FORMAT = 1
 
 
+def check_error(error: float) -> None:
+    """Refuse an error that no picture can be asked for.
+
+    Raises
+    ------
+    InputError
+        If it is not between 0 and 1.
+    """
+    if not 0.0 < error < 1.0:
+        raise InputError(f"error: expected a relative error between 0 and 1, such as 0.01, got {error}")
+
+
 @dataclass(frozen=True)
 class Trial:
     """One candidate of a pilot.

@@ -17,7 +17,6 @@ import numpy.typing as npt
 
 from prtcl.compute.chunks import largest_buffer
 from prtcl.compute.device import Device
-from prtcl.errors import InputError
 from prtcl.factors.environment import Environment
 from prtcl.factors.material import Material
 from prtcl.factors.visibility import Tracer
@@ -25,7 +24,7 @@ from prtcl.scene.camera import Triple
 from prtcl.scene.ladder import coarsest
 from prtcl.scene.mesh import Mesh
 from prtcl.scene.pilot import SAMPLES
-from prtcl.scene.plan import Trial
+from prtcl.scene.plan import Trial, check_error
 from prtcl.scene.planner import AIM, confidence
 from prtcl.scene.points import back_origins, vertex_points
 from prtcl.transport.edit import Relit
@@ -79,8 +78,7 @@ def plan_session(
     InputError
         If nothing that was tried meets the error, or it is not between 0 and 1.
     """
-    if not 0.0 < error < 1.0:
-        raise InputError(f"error: expected a relative error between 0 and 1, such as 0.01, got {error}")
+    check_error(error)
     start = time.perf_counter()
     rng = np.random.default_rng(0)
     tracer = Tracer(mesh.vertices, mesh.faces)

@@ -23,7 +23,7 @@ from prtcl.scene.bake import Bake, read_mesh_or_bake
 from prtcl.scene.camera import Camera
 from prtcl.scene.film import FIRST, Film
 from prtcl.scene.mesh import Mesh
-from prtcl.scene.plan import Plan
+from prtcl.scene.plan import Plan, check_error
 from prtcl.scene.plan_vertices import plan_vertices
 from prtcl.scene.planner import plan_pixels
 from prtcl.scene.points import check_eye
@@ -262,8 +262,7 @@ class Scene:
         InputError
             If `error` is not between 0 and 1, or nothing meets it.
         """
-        if not 0.0 < error < 1.0:
-            raise InputError(f"error: expected a relative error between 0 and 1, such as 0.01, got {error}")
+        check_error(error)
         vertex = points == "vertex" or self.bake is not None
         check_eye(self.tracer, self.mesh, self.camera)
         base = [own for own, _ in self.choose_settings(vertex)]
