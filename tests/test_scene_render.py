@@ -592,7 +592,7 @@ def test_the_report_says_what_was_done(device: Device, tmp_path: Path) -> None:
     assert report.keys() == {
         "device", "device_reason", "precision", "mesh", "materials", "settings", "light", "points",
         "points_shaded", "rays", "points_per_pixel", "pixel_error_estimate", "seconds", "points_per_second",
-        "bytes_per_point", "notes",
+        "bytes_per_point", "left_out", "notes",
     }  # fmt: skip
     assert report["device"] == device.name and report["precision"] == "float32"
     assert report["mesh"] == {"name": "torus", "vertices": 1152, "faces": 2304}

@@ -453,7 +453,12 @@ def _scene(
         "--visibility", choices=("adaptive", "every"), help="rays where neighbours disagree, or all of them"
     )
     fine.add_argument("--precision", choices=("float32", "mixed", "float64"), default="float32")
-    command.add_argument("--explain", action="store_true", help="what was chosen and why")
+    fine.add_argument(
+        "--leave-out", metavar="LIST",
+        help="what the scene does not need: all, none, or names such as grey,rays or no-grey (default: all; see "
+        "--explain)",
+    )  # fmt: skip
+    command.add_argument("--explain", action="store_true", help="what was chosen and left out, and why")
 
 
 def _plan(command: argparse.ArgumentParser) -> None:

@@ -6,6 +6,7 @@ import argparse
 import json
 import sys
 from pathlib import Path
+from typing import Any
 
 from prtcl.apps.progress import bar
 from prtcl.apps.scene_options import scene_of
@@ -92,9 +93,20 @@ def explain(render: Render) -> str:
             f"hard light  {light['hard_samples']} samples hold {100 * light['hard_share']:.1f} % of the energy"
             if light["hard_samples"]
             else "hard light  none needed: no direction holds enough energy",
-            f"left out    {'two of three channels: the light is grey' if light['channels'] == 1 else 'no channel'}",
+            *(f"left out    {_item(item)}" for item in report["left_out"]),
             f"points      {layers} a covered pixel (soft light, hard light); estimated pixel error "
             f"{100 * report['pixel_error_estimate']:.2f} %",
             *(f"plan        {line}" for line in (render.plan.explain() if render.plan is not None else ())),
         ]
+    )
+
+
+def _item(item: dict[str, Any]) -> str:
+    """One thing that was left out, what it saved and cost; savings are estimates from this run."""
+    saved = [f"{item['seconds']:.2g} s"] if item["seconds"] > 0.0 else []
+    saved += [f"{item['bytes'] / 2**20:.3g} MiB"] if item["bytes"] > 0 else []
+    cost = f"; at most {100 * item['error']:.1g} % of error" if item["error"] > 0.0 else ""
+    return (
+        f"{item['name']}: {item['count']} of {item['of']} {item['unit']}"
+        f"{', saving about ' + ' and '.join(saved) if saved else ''}{cost}"
     )

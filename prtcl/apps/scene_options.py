@@ -28,6 +28,7 @@ def scene_of(options: argparse.Namespace, devices: list[Device], brdf: str | Non
         mesh, environment, brdf, device=devices, two_sided=not options.one_sided,
         smooth=options.smooth, levels=options.levels, rays=options.rays, keep=options.keep, views=options.views,
         method=options.method, hard=options.hard_light, visibility=options.visibility,
+        leave_out=options.leave_out,
     )  # fmt: skip
     scene.notes += notes
     default_up = (0.0, 0.0, 1.0) if options.env_up == "z" else (0.0, 1.0, 0.0)

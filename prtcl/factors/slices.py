@@ -35,9 +35,10 @@ class Materials:
     Parameters
     ----------
     materials : one or more
+    every_term : build kernels for all kinds of materials, not only for those that are there
     """
 
-    def __init__(self, device: Device, materials: list[Material]) -> None:
+    def __init__(self, device: Device, materials: list[Material], every_term: bool = False) -> None:
         if not materials:
             raise InputError("materials: expected at least one")
         self.device, self.list = device, materials
@@ -47,6 +48,8 @@ class Materials:
         self.mask = int(np.bitwise_or.reduce([1 << KINDS.index(m.kind) for m in materials]))
         if any(m.kind == "ggx-conductor" and not m.grey for m in materials):
             self.mask |= 1 << COLOURED_CONDUCTOR
+        if every_term:
+            self.mask = (1 << (COLOURED_CONDUCTOR + 1)) - 1
         self.channels = 1 if all(m.grey for m in materials) else 3
 
     @property

@@ -29,6 +29,7 @@ class SliceStore:
     materials, table : whose slices, at which views
     levels : of the coefficients
     limit : bytes that the slices may take
+    all_views : make all slices at the first request, where they fit
 
     Notes
     -----
@@ -36,14 +37,16 @@ class SliceStore:
     """
 
     def __init__(
-        self, device: Device, materials: Materials, table: ViewTable, levels: int, limit: int
-    ) -> None:
+        self, device: Device, materials: Materials, table: ViewTable, levels: int, limit: int,
+        all_views: bool = False,
+    ) -> None:  # fmt: skip
         self.device, self.materials, self.table, self.levels = device, materials, table, levels
         count = len(materials.list) * len(table.views)
         self._bytes = materials.channels * 4**levels * np.dtype(device.dtype).itemsize
         self.capacity = min(limit // self._bytes, count)
         self._slot = np.full(count, -1, dtype=np.int32)
         self._used = 0
+        self._all_views = all_views and self.capacity == count
         self._rows: Any = None  # device array (slots · channels, 4**levels)
 
     def keys(self, material: npt.NDArray[np.integer], views: npt.NDArray[np.integer]) -> Keys:
@@ -84,7 +87,7 @@ class SliceStore:
 
         Both hold until the next call. At most `capacity` different keys.
         """
-        wanted = np.unique(keys)
+        wanted = np.arange(len(self._slot)) if self._all_views else np.unique(keys)
         missing = wanted[self._slot[wanted] < 0]
         if self._used + missing.size > self.capacity:
             self._slot[:], self._used, missing = -1, 0, wanted
@@ -96,6 +99,11 @@ class SliceStore:
                 for start in range(0, len(own), step):
                     self._make(int(index), own[start : start + step])
         return self._rows.reshape(-1, self.materials.channels, 4**self.levels), self._slot[keys]
+
+    @property
+    def count(self) -> tuple[int, int]:
+        """How many slices there are at most, and how many are stored."""
+        return len(self._slot), self._used
 
     def _make(self, index: int, keys: Keys) -> None:
         channels = self.materials.channels

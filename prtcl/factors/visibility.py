@@ -198,8 +198,10 @@ class Tracer:
         lights: npt.NDArray[np.floating],
         progress: Progress | None = None,
         runs: npt.NDArray[np.integer] | None = None,
+        *,
+        horizon: bool = True,
     ) -> npt.NDArray[np.uint32]:
-        """Which of some world directions each point sees; those below its horizon are not traced.
+        """Which of some world directions each point sees; those below its horizon it does not.
 
         Parameters
         ----------
@@ -207,6 +209,7 @@ class Tracer:
         lights : (k, 3) unit, world
         runs : (m,) ascending from 0, where runs of neighbouring directions begin. Of a run the first, the middle and
             the last are traced, the others only where those three differ. None traces all.
+        horizon : leave out the rays of those below it
 
         Returns
         -------
@@ -231,7 +234,8 @@ class Tracer:
                 point, light = np.nonzero(which)
                 visible[point, light] = ~self.occluded(origins[part][point], towards[light])
 
-            trace(above & probe)
+            trace((above if horizon else np.ones_like(above)) & probe)
+            visible &= above
             if not probe.all():
                 # A run that crosses the horizon is traced: there its probes are too few.
                 whole = np.logical_and.reduceat(above | ~probe, starts, axis=1)

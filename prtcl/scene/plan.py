@@ -88,7 +88,8 @@ class Plan:
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write JSON, aside and then renamed."""
         with replacing(path) as aside:
-            text = json.dumps({"format": FORMAT, "prtcl": __version__, **asdict(self)}, indent=1)
+            data = {"format": FORMAT, "prtcl": __version__, **asdict(self)}
+            text = json.dumps(data, indent=1, default=sorted)  # of sets: what is left out
             aside.write_text(text + "\n", encoding="utf-8")
 
     @classmethod
@@ -107,7 +108,9 @@ class Plan:
             if data.pop("format") != FORMAT:
                 raise InputError(f"{name}: a plan of another format; make it again with --save-plan")
             data.pop("prtcl")
-            settings = tuple(Settings(**own) for own in data.pop("settings"))
+            settings = tuple(
+                Settings(**{**own, "leave_out": frozenset(own["leave_out"])}) for own in data.pop("settings")
+            )
             trials = tuple(Trial(**own) for own in data.pop("trials"))
             plan = cls(settings=settings, trials=trials, **data)
         except OSError as error:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from prtcl.scene.left_out import left_out
 from prtcl.scene.shaders import Counter, Layer
 from prtcl.transport.pipeline import Pipelines
 from prtcl.transport.several import Several
@@ -59,12 +60,16 @@ def render_report(
             "faces": len(scene.mesh.faces),
         },
         "materials": [m.spec for m in scene.materials],
-        "settings": [{**vars(own), "why": reason} for own, reason in dict(scene.settings).items()],
+        "settings": [
+            {**vars(own), "leave_out": sorted(own.leave_out), "why": reason}
+            for own, reason in dict(scene.settings).items()
+        ],
         "light": {
             "hard_samples": len(pipeline.light.hard),
             "hard_share": round(pipeline.light.hard_share, 4),
             "channels": max(own.channels for own in pipeline.all),
         },
+        "left_out": [vars(item) for item in left_out(scene, pipeline.all, vertex, main, stages)],
         "points": "vertex" if vertex else "pixel",
         "points_shaded": shaded,
         "rays": rays,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -31,6 +31,8 @@ from prtcl.scene.report import render_report
 from prtcl.scene.shaders import Counter, Layer, Notify, PixelShader, VertexShader
 from prtcl.scene.steer import expected_error, steer
 from prtcl.scene.tint import Tints, colour_notes
+from prtcl.transport.fine_levels import COST, needed
+from prtcl.transport.leave_out import parse
 from prtcl.transport.pipeline import Pipelines, Points
 from prtcl.transport.settings import Settings, choose
 from prtcl.transport.several import Several
@@ -110,6 +112,7 @@ class Scene:
     device : None chooses one; of a list, all share the work (`prtcl.transport.several`)
     two_sided : seen from behind, a surface's normal is turned to the viewer
     smooth : replace normals by vertex normals averaged over the faces
+    leave_out : names of `prtcl.transport.leave_out`, or a list of them such as "all", "none", "no-grey"; None is all
     **settings : `Settings` fixed by hand: levels, rays, keep, views, method, hard, visibility,
         pixel_error
 
@@ -128,6 +131,7 @@ class Scene:
         device: Device | Sequence[Device] | None = None,
         two_sided: bool = True,
         smooth: bool = False,
+        leave_out: str | Iterable[str] | None = None,
         **settings: float | str | None,
     ) -> None:
         mesh, self.bake = read_mesh_or_bake(mesh)
@@ -154,7 +158,12 @@ class Scene:
             raise InputError("device: expected a Device or several, got an empty list")
         self.device = self.devices[0]
         self.two_sided = two_sided
-        self._by_hand = settings
+        self._by_hand: dict[str, float | str | frozenset[str] | None] = dict(settings)
+        if leave_out is not None:
+            self._by_hand["leave_out"] = (
+                parse(leave_out) if isinstance(leave_out, str) else frozenset(leave_out)
+            )
+        self.fitted: dict[int, float] = {}
         self.settings = self.choose_settings(vertex=self.bake is not None)
         with self.device.profile.host("build_bvh"):
             self.tracer = Tracer(self.mesh.vertices, self.mesh.faces)
@@ -208,6 +217,7 @@ class Scene:
         if plan is None and error is not None:
             plan = self.plan(error, points=points)
         self.settings = self.choose_settings(vertex) if plan is None else self._planned(plan, vertex)
+        self.settings = self._without_fine_levels(self.settings, COST if plan is None else 0.1 * plan.asked)
         pipelines = [
             Pipelines(
                 device,
@@ -268,6 +278,26 @@ class Scene:
         base = [own for own, _ in self.choose_settings(vertex)]
         fixed = {name for name, value in self._by_hand.items() if value is not None}
         return (plan_vertices if vertex else plan_pixels)(self, error, base, fixed)
+
+    def _without_fine_levels(
+        self, settings: list[tuple[Settings, str]], cost: float
+    ) -> list[tuple[Settings, str]]:
+        """The settings without the levels of the product that a material has no use for, at a relative error of `cost`.
+
+        What leaving them out may cost is kept in `fitted`, by material.
+        """
+        self.fitted = {}
+        if self._by_hand.get("keep") is not None:
+            return settings
+        out = []
+        for number, (own, reason) in enumerate(settings):
+            keep = own.keep
+            if own.leaves("levels"):
+                keep, lost = needed(self.device, self.materials[number], own.keep, cost)
+                if keep < own.keep:
+                    self.fitted[number] = lost
+            out.append((replace(own, keep=keep), reason))
+        return out
 
     def _planned(self, plan: Plan, vertex: bool) -> list[tuple[Settings, str]]:
         """A plan's settings with what was fixed by hand on top."""

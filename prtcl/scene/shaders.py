@@ -93,7 +93,8 @@ class VertexShader:
 
     def __call__(self, hits: Hits, sub: npt.NDArray[np.int64]) -> Radiance:
         corners = self.scene.mesh.faces[hits.face]
-        seen = np.unique(corners)
+        leave = self.scene.settings[0][0].leaves("unseen")
+        seen = np.unique(corners) if leave else np.arange(len(self._known))
         self._shade(seen[~self._known[seen]])
         return np.asarray(np.einsum("nc,ncx->nx", hits.barycentric, self._radiance[corners]))
 

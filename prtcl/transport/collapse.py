@@ -111,7 +111,7 @@ def _product_arguments(
     """What every form of the product takes first."""
     cube, _ = light.buffers(device)
     grid = np.full(len(frames), hemisphere.ALONE) if grid is None else grid
-    weights, row = _ray_weights(bits, settings.rays, grid)
+    weights, row = _ray_weights(bits, settings.rays, grid, settings.leaves("unshadowed"))
     return [
         cube, cube.shape[1] - 2, directions, environment.frames_on_map(device, light, frames),
         device.array(bits, np.uint32, name="bits"), device.array(weights), device.array(row, np.int32),
@@ -145,7 +145,7 @@ def product_samples(
 
 
 def _ray_weights(
-    bits: npt.NDArray[np.uint32], rays: int, grid: npt.NDArray[np.int32]
+    bits: npt.NDArray[np.uint32], rays: int, grid: npt.NDArray[np.int32], leave_out: bool = True
 ) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.intp]]:
     """Rows of `hemisphere.ray_weights` and each point's row.
 
@@ -155,7 +155,7 @@ def _ray_weights(
     """
     seen = np.uint32(0xFFFFFFFF >> max(0, 32 - 4**rays))
     some_hidden = grid != hemisphere.ALONE
-    if some_hidden.any():
+    if leave_out and some_hidden.any():
         some_hidden &= ~(bits == seen).all(axis=1)
     grids, row = np.unique(np.where(some_hidden, grid, hemisphere.ALONE), return_inverse=True)
     return np.stack([hemisphere.ray_weights(rays, int(g)) for g in grids]), row

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from prtcl import quadtree
 from prtcl.compute.chunks import cache_bytes, chunk_size, chunks
 from prtcl.compute.device import Device
 from prtcl.factors.environment import Environment, Light
@@ -18,6 +19,7 @@ from prtcl.factors.slices import Materials, ViewTable
 from prtcl.factors.stored import SliceStore
 from prtcl.factors.visibility import Progress, Tracer
 from prtcl.transport import collapse, shade
+from prtcl.transport.leave_out import Tally
 from prtcl.transport.settings import Settings
 
 HARD_CHUNK = 1 << 16
@@ -89,11 +91,15 @@ class Pipeline:
         with device.profile.host("split_light"):
             scaled, self.unit = in_unit(environment)
             self.light = scaled.split(settings.levels, settings.hard)
-        self.materials = Materials(device, materials)
-        self.channels = 1 if self.light.grey else 3
+        self.tally = Tally()
+        self.materials = Materials(device, materials, every_term=not settings.leaves("terms"))
+        self.channels = 1 if self.light.grey and settings.leaves("grey") else 3
         self.table = ViewTable.make(polar, settings.views)
         limit = cache_bytes(device) if slice_bytes is None else slice_bytes
-        self.slices = SliceStore(device, self.materials, self.table, settings.keep, limit)
+        self.slices = SliceStore(
+            device, self.materials, self.table, settings.keep, limit, all_views=not settings.leaves("views")
+        )
+        self._matt = np.array([own.kind == "lambert" for own in materials])
         for stage, count in self.bytes_per_point().items():
             device.profile.per_point(stage, count)
 
@@ -113,7 +119,7 @@ class Pipeline:
         with self.device.profile.host("visibility_rays"):
             return tracer.visibility(
                 points.origins, points.frames, self.settings.rays, points.grid, progress=progress,
-                every=self.settings.visibility == "every",
+                every=self.settings.visibility == "every" or not self.settings.leaves("rays"),
             )  # fmt: skip
 
     def soft(
@@ -129,32 +135,74 @@ class Pipeline:
         """
         stages = self.bytes_per_point()
         size = chunk_size(self.device, sum(stages.values()), max(stages.values()), self.budget)
-        out = np.empty((len(points), 3), dtype=self.device.dtype)
+        out = np.zeros((len(points), 3), dtype=self.device.dtype)
         nodes, weight = self.table.locate(points.views)
         keys = self.slices.keys(points.material, nodes)
-        fetched: tuple[npt.NDArray[np.int64], Callable[[], Any]] | None = None
+        fetched: tuple[Source, Callable[[], Any]] | None = None
         for part in self.slices.parts(keys, size):
             some = points[part]
+            before = tracer.rays
             seen = self.visibility(tracer, some, progress) if bits is None else bits[part]
-            reduced = collapse.reduced_coefficients(
-                self.device, self.light, seen, some.frames, self.settings, self.channels, some.grid
-            )
-            slices, index = self.slices.take(keys[part])
-            radiance = shade.soft_radiance(
-                self.device, reduced, slices, index, weight[part], self.settings.levels
-            )
-            # A part's radiance is waited for when the next part's rays are traced: a GPU computes in between.
-            if fetched is not None:
-                self._finish(*fetched, out)
-            fetched = part, self.device.fetch(radiance)
-            if not self.device.beside_host:
-                self._finish(*fetched, out)
-                fetched = None
+            if bits is None:
+                every = len(some) * quadtree.n_samples(self.settings.rays)
+                self.tally.add("rays", every - (tracer.rays - before), every)
+            source = self._needed(part, some, seen)
+            if source.rows is not None:
+                some, seen, part = some[source.rows], seen[source.rows], part[source.rows]
+            if len(some):
+                reduced = collapse.reduced_coefficients(
+                    self.device, self.light, seen, some.frames, self.settings, self.channels, some.grid
+                )
+                slices, index = self.slices.take(keys[part])
+                radiance = shade.soft_radiance(
+                    self.device, reduced, slices, index, weight[part], self.settings.levels
+                )
+                # A part's radiance is waited for when the next part's rays are traced: a GPU computes in between.
+                if fetched is not None:
+                    self._finish(*fetched, out)
+                fetched = source, self.device.fetch(radiance)
+                if not self.device.beside_host:
+                    self._finish(*fetched, out)
+                    fetched = None
             if bits is not None and progress is not None:
-                progress(len(some))
+                progress(len(source.part))
         if fetched is not None:
             self._finish(*fetched, out)
+        views, made = self.slices.count
+        self.tally.add("views", views - made, views)
         return out
+
+    def _needed(self, part: npt.NDArray[np.int64], some: Points, seen: npt.NDArray[np.uint32]) -> Source:
+        """Which of a part's points must be shaded, and whose radiance each takes.
+
+        One that sees nothing of the sky, or is seen from below its horizon, is black. Matt ones that see all of it
+        differ by their normals alone: of each normal one is shaded, and the others take its radiance, though on their
+        own grids, turned about the normal, the same sum would be taken over other directions.
+        """
+        settings = self.settings
+        every = np.uint32(0xFFFFFFFF >> max(0, 32 - quadtree.n_samples(settings.rays)))
+        whole = (seen == every).all(axis=1)
+        below = some.views[:, 2] <= 0.0
+        dark = ~seen.any(axis=1) | below if settings.leaves("unlit") else np.zeros(len(some), dtype=np.bool_)
+        self.tally.add("unlit", dark.sum(), len(some))
+        self.tally.add("unshadowed", whole.sum() if settings.leaves("unshadowed") else 0, len(some))
+        source = np.arange(len(some))
+        shared = (
+            np.flatnonzero(whole & self._matt[some.material]) if settings.leaves("normals") else source[:0]
+        )
+        if len(shared) > 1:
+            named = np.empty(len(shared), dtype=[("normal", "f4", 3), ("material", "i4")])
+            named["normal"], named["material"] = some.frames[shared, 2], some.material[shared]
+            _, first, inverse = np.unique(named, return_index=True, return_inverse=True)
+            source[shared] = shared[first][inverse]
+        source[dark] = -1
+        self.tally.add("normals", (source[shared] != shared).sum(), len(some))
+        rows = np.flatnonzero(source == np.arange(len(some)))
+        if len(rows) == len(some):
+            return Source(part, None, None)
+        place = np.full(len(some) + 1, -1)
+        place[rows] = np.arange(len(rows))
+        return Source(part, rows, place[source])
 
     def hard(
         self, tracer: Tracer, points: Points, progress: Progress | None = None
@@ -165,10 +213,13 @@ class Pipeline:
             return out
         for part in chunks(len(points), HARD_CHUNK):
             some = points[part]
+            before, every = tracer.rays, len(some) * len(self.light.hard)
             with self.device.profile.host("hard_light_rays"):
                 seen = tracer.light_visibility(
-                    some.origins, some.frames[:, 2], self.light.hard[:, :3], progress
-                )
+                    some.origins, some.frames[:, 2], self.light.hard[:, :3], progress,
+                    horizon=self.settings.leaves("horizon"),
+                )  # fmt: skip
+            self.tally.add("horizon", every - (tracer.rays - before), every)
             radiance = self.device.array(np.zeros((len(some), 4)))
             shade.add_hard_radiance(
                 self.device,
@@ -180,7 +231,9 @@ class Pipeline:
                 some.views,
                 radiance,
             )
-            self._finish(part, self.device.fetch(radiance), out)
+            self._finish(
+                Source(np.arange(part.start, part.stop), None, None), self.device.fetch(radiance), out
+            )
         return out
 
     def radiance(
@@ -190,12 +243,29 @@ class Pipeline:
         """Outgoing radiance of every point, soft and hard light together: (n, 3), linear RGB."""
         return np.asarray(self.soft(tracer, points, bits, progress) + self.hard(tracer, points))
 
-    def _finish(
-        self, part: slice | npt.NDArray[np.int64], wait: Callable[[], Any], out: npt.NDArray[np.floating]
-    ) -> None:
+    def _finish(self, source: Source, wait: Callable[[], Any], out: npt.NDArray[np.floating]) -> None:
         """Wait for a part's radiance, and put it where it belongs."""
         with self.device.profile.host("wait_for_device"):
-            out[part] = wait()[:, :3] * self.unit
+            radiance = wait()[:, :3] * self.unit
+            if source.place is not None:
+                radiance = np.where(source.place[:, None] >= 0, radiance[source.place], 0.0)
+            out[source.part] = radiance
+
+
+@dataclass(frozen=True, eq=False)
+class Source:
+    """Where the radiance of a part's points comes from.
+
+    Attributes
+    ----------
+    part : (n,) the points
+    rows : (m,) which of them are shaded, or None for all
+    place : (n,) whose of those radiance each takes, -1 for black, or None for its own
+    """
+
+    part: npt.NDArray[np.int64]
+    rows: npt.NDArray[np.int64] | None
+    place: npt.NDArray[np.int64] | None
 
 
 def in_unit(environment: Environment) -> tuple[Environment, float]:

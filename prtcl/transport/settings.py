@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from prtcl import quadtree
 from prtcl.errors import InputError
 from prtcl.factors.material import Material
+from prtcl.transport.leave_out import EVERYTHING, WHAT
 
 METHODS = ("auto", "pixel", "tree")
 HARD = ("auto", "off")
@@ -31,6 +32,7 @@ class Settings:
     pixel_error : relative RMSE over the image that adaptive sub-pixel points aim at, by an estimate on the safe
         side (stratified points err less than it assumes)
     hard_error : share of the square of pixel_error that hard light's points may have, 0 to 1
+    leave_out : names of `prtcl.transport.leave_out` that are left out where the scene does not need them
     hard_points : points of hard light that an adaptive pixel starts with, 4 or 16; four that all miss a glint say
         nothing of it
     """
@@ -45,6 +47,7 @@ class Settings:
     pixel_error: float = 0.007
     hard_error: float = 0.5
     hard_points: int = 16
+    leave_out: frozenset[str] = EVERYTHING
 
     def __post_init__(self) -> None:
         for name in ("levels", "rays", "keep"):
@@ -64,17 +67,25 @@ class Settings:
                 "pixel_error and hard_error: expected 0 or more and between 0 and 1, "
                 f"got {self.pixel_error} and {self.hard_error}"
             )
+        if not self.leave_out <= EVERYTHING:
+            raise InputError(
+                f"leave_out: {min(self.leave_out - EVERYTHING)} is none\nthere are: {', '.join(WHAT)}"
+            )
         if self.hard_points not in (4, 16):
             raise InputError(f"hard_points: expected 4 or 16, got {self.hard_points}")
         if self.visibility not in VISIBILITY:
             raise InputError(f"visibility: expected one of {', '.join(VISIBILITY)}, got {self.visibility!r}")
+
+    def leaves(self, name: str) -> bool:
+        """Whether what has that name is left out where it may be."""
+        return name in self.leave_out
 
     @property
     def tree(self) -> bool:
         """Whether the product goes through the quadtree."""
         return self.method == "tree"
 
-    def with_defaults(self, **given: float | str | None) -> Settings:
+    def with_defaults(self, **given: float | str | frozenset[str] | None) -> Settings:
         """These settings with what a user fixed by hand; None leaves a value as it is.
 
         A user who gives `levels` alone means the other two as well, as far as they fit.
@@ -82,7 +93,7 @@ class Settings:
         fixed = {name: value for name, value in given.items() if value is not None}
         if "levels" in fixed:
             for name in ("rays", "keep"):
-                fixed.setdefault(name, min(getattr(self, name), int(fixed["levels"])))
+                fixed.setdefault(name, min(getattr(self, name), int(fixed["levels"])))  # type: ignore[arg-type]
         return replace(self, **fixed)  # type: ignore[arg-type]
 
 
