@@ -187,9 +187,9 @@ class Pipeline:
         self.tally.add("unlit", dark.sum(), len(some))
         self.tally.add("unshadowed", whole.sum() if settings.leaves("unshadowed") else 0, len(some))
         source = np.arange(len(some))
-        shared = (
-            np.flatnonzero(whole & self._matt[some.material]) if settings.leaves("normals") else source[:0]
-        )
+        # Of light whose peaks are taken out: with them the sum over one turn of the grid would be another's by percents.
+        shares = settings.leaves("normals") and settings.hard == "auto"
+        shared = source[whole & ~below & self._matt[some.material]] if shares else source[:0]
         if len(shared) > 1:
             named = np.empty(len(shared), dtype=[("normal", "f4", 3), ("material", "i4")])
             named["normal"], named["material"] = some.frames[shared, 2], some.material[shared]
