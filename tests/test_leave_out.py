@@ -221,8 +221,8 @@ def test_what_was_left_out_is_counted(device: Device) -> None:
     assert item(found, "grey") | {"seconds": 0, "bytes": 0} == {
         "name": "grey", "count": 2, "of": 3, "unit": "channels", "seconds": 0, "bytes": 0, "error": 0.0,
     }  # fmt: skip
-    normals = item(found, "normals")
-    assert 0 < normals["count"] < normals["of"] == shaded
+    unshadowed = item(found, "unshadowed")
+    assert 0 < unshadowed["count"] < unshadowed["of"] == shaded
     assert all(own["count"] <= own["of"] for own in found.report["left_out"])
     assert not render(device, "none").report["left_out"]
 

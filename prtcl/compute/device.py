@@ -154,6 +154,11 @@ class Device:
         """Bytes of the largest single buffer."""
         return int(self.handle.max_mem_alloc_size)
 
+    @property
+    def held_bytes(self) -> int:
+        """Bytes of device memory that the pool holds: about the most that was in use at once so far."""
+        return int(self._pool.managed_bytes)
+
     def empty(self, shape: tuple[int, ...], dtype: npt.DTypeLike | None = None) -> Any:
         """An uninitialised device array, from the pool."""
         import pyopencl.array as cla

@@ -187,7 +187,7 @@ class Pipeline:
         self.tally.add("unlit", dark.sum(), len(some))
         self.tally.add("unshadowed", whole.sum() if settings.leaves("unshadowed") else 0, len(some))
         source = np.arange(len(some))
-        # Of light whose peaks are taken out: with them the sum over one turn of the grid would be another's by percents.
+        # Of light whose peaks are taken out: with them another turn of the grid is another sum, by percents.
         shares = settings.leaves("normals") and settings.hard == "auto"
         shared = source[whole & ~below & self._matt[some.material]] if shares else source[:0]
         if len(shared) > 1:
