@@ -23,7 +23,11 @@ if TYPE_CHECKING:
     from prtcl.factors.table import Table as Table
     from prtcl.scene.bake import Bake as Bake
     from prtcl.scene.camera import Camera as Camera
+    from prtcl.scene.camera_path import View as View
+    from prtcl.scene.camera_path import turntable as turntable
     from prtcl.scene.fit import fit as fit
+    from prtcl.scene.frames import Frame as Frame
+    from prtcl.scene.frames import relight as relight
     from prtcl.scene.mesh import Mesh as Mesh
     from prtcl.scene.mesh import read_mesh as read_mesh
     from prtcl.scene.scene import Render as Render
@@ -48,7 +52,9 @@ _HOMES = {
     "prtcl.factors.table": ("Table",),
     "prtcl.scene.bake": ("Bake",),
     "prtcl.scene.camera": ("Camera",),
+    "prtcl.scene.camera_path": ("View", "turntable"),
     "prtcl.scene.fit": ("fit",),
+    "prtcl.scene.frames": ("Frame", "relight"),
     "prtcl.scene.mesh": ("Mesh", "read_mesh"),
     "prtcl.scene.scene": ("Render", "Scene"),
     "prtcl.scene.session": ("Session",),

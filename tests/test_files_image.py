@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import resource
+import signal
 from pathlib import Path
 
 import numpy as np
@@ -123,3 +125,20 @@ def test_read_image_refuses_other_files(tmp_path: Path) -> None:
     write_png(tmp_path / "a.png", random_image())
     with pytest.raises(InputError, match=r"\.exr"):
         read_image(tmp_path / "a.png")
+
+
+@pytest.mark.parametrize("room", [0, 100, -10])
+def test_an_exr_that_finds_no_room_is_refused(tmp_path: Path, room: int) -> None:
+    """OpenEXR's own writer says nothing of its last bytes."""
+    write_exr(tmp_path / "a.exr", random_image())
+    size = (tmp_path / "a.exr").stat().st_size
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    before = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)  # an OpenCL driver may have put a handler there
+    resource.setrlimit(resource.RLIMIT_FSIZE, (room if room >= 0 else size + room, hard))
+    try:
+        with pytest.raises(PrtclError, match=r"b\.exr: writing the EXR failed"):
+            write_exr(tmp_path / "b.exr", random_image())
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+        signal.signal(signal.SIGXFSZ, signal.SIG_IGN if before is None else before)
+    assert [path.name for path in tmp_path.iterdir()] == ["a.exr"]

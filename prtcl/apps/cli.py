@@ -1,4 +1,4 @@
-"""The command line: `prtcl demo | render | bake | fit | view | brdf | bench | report | stress | devices`.
+"""The command line: `prtcl demo | render | relight | bake | fit | view | brdf | bench | report | stress | devices`.
 
 Exit status: 0 done, 1 the job failed, 2 the input or the command line was wrong. An error is one or two lines that
 name the file or the option and say what to do.
@@ -18,6 +18,7 @@ from importlib import import_module
 from typing import Any, NoReturn
 
 from prtcl._version import __version__
+from prtcl.apps.relight import options as relight
 from prtcl.errors import InputError, PrtclError
 
 
@@ -139,6 +140,8 @@ def parser() -> Parser:
     _device(render, several=True)
     _common(render)
     render.set_defaults(run=_render)
+
+    relight.register(commands, size, _fine, _device, _common, _relight)
 
     bake = commands.add_parser("bake", help="trace the visibility of a mesh's vertices once, for reuse")
     bake.add_argument("mesh", metavar="MESH")
@@ -440,7 +443,16 @@ def _scene(
     )
     command.add_argument("--one-sided", action="store_true", help="surfaces seen from behind are black")
     command.add_argument("--smooth", action="store_true", help="vertex normals averaged over the faces")
-    fine = command.add_argument_group("resolution by hand (default: what the materials need; see --explain)")
+    _fine(command, "; see --explain").add_argument(
+        "--leave-out", metavar="LIST",
+        help="what the scene does not need: all, none, or names such as grey,rays or no-grey (default: all; see "
+        "--explain)",
+    )  # fmt: skip
+    command.add_argument("--explain", action="store_true", help="what was chosen and left out, and why")
+
+
+def _fine(command: argparse.ArgumentParser, more: str = "") -> Any:
+    fine = command.add_argument_group(f"resolution by hand (default: what the materials need{more})")
     fine.add_argument("--levels", type=int, metavar="R", help="light and product on 4^R directions")
     fine.add_argument("--rays", type=int, metavar="R", help="visibility on 4^R directions")
     fine.add_argument("--keep", type=int, metavar="K", help="levels kept of the product")
@@ -453,12 +465,7 @@ def _scene(
         "--visibility", choices=("adaptive", "every"), help="rays where neighbours disagree, or all of them"
     )
     fine.add_argument("--precision", choices=("float32", "mixed", "float64"), default="float32")
-    fine.add_argument(
-        "--leave-out", metavar="LIST",
-        help="what the scene does not need: all, none, or names such as grey,rays or no-grey (default: all; see "
-        "--explain)",
-    )  # fmt: skip
-    command.add_argument("--explain", action="store_true", help="what was chosen and left out, and why")
+    return fine
 
 
 def _plan(command: argparse.ArgumentParser) -> None:
@@ -503,6 +510,10 @@ def _demo(options: argparse.Namespace) -> int:
 def _render(options: argparse.Namespace) -> int:
     _require_ending(options.output, ".exr", "; --png adds a preview")
     return _command("render")(options)
+
+
+def _relight(options: argparse.Namespace) -> int:
+    return _command("relight.command")(options)
 
 
 def _bake(options: argparse.Namespace) -> int:

@@ -1,4 +1,4 @@
-"""A progress bar over points, with the time left."""
+"""A progress bar over points or images, with the time left."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from prtcl.scene.shaders import Notify
 
 
 @contextmanager
-def bar(what: str, quiet: bool) -> Iterator[Notify | None]:
+def bar(what: str, quiet: bool, unit: str = " points", scale: bool = True) -> Iterator[Notify | None]:
     """Yield a callback (done, known so far) that moves a bar on standard error; None where `quiet`.
 
     The total may grow while the job runs: adaptive sampling learns what it needs as it goes.
@@ -22,7 +22,7 @@ def bar(what: str, quiet: bool) -> Iterator[Notify | None]:
 
     lock = threading.Lock()
     with tqdm(
-        desc=what, disable=None, unit=" points", unit_scale=True, total=0, delay=0.5, dynamic_ncols=True
+        desc=what, disable=None, unit=unit, unit_scale=scale, total=0, delay=0.5, dynamic_ncols=True
     ) as shown:
 
         def notify(done: int, known: int) -> None:

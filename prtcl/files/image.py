@@ -18,6 +18,7 @@ from prtcl._version import __version__
 from prtcl.errors import InputError, PrtclError
 from prtcl.files.atomic import replacing
 from prtcl.files.exr import read_colour
+from prtcl.files.exr_chunks import check_chunks
 from prtcl.files.source import check_source
 
 # Header entries the format itself defines; text under these names would break the file.
@@ -71,6 +72,13 @@ def write_exr(
             OpenEXR.File(header, planes).write(str(temporary))
         except Exception as error:
             raise PrtclError(f"{os.fspath(path)}: writing the EXR failed: {error}") from error
+        try:
+            check_chunks(temporary)
+        except ValueError as error:  # InputError is one, and so is what an empty file gives
+            # The library does not look whether its last bytes arrive.
+            raise PrtclError(
+                f"{os.fspath(path)}: writing the EXR failed: it came out cut off, as on a full disk"
+            ) from error
 
 
 def encode_png(image: NDArray[np.floating], exposure: float = 0.0) -> bytes:

@@ -55,7 +55,7 @@ def load_gltf_scene(path: Path, data: bytes) -> RawMesh:
         Damaged, or with geometry that cannot be decoded. Other exceptions of trimesh pass through.
     """
     binary = path.suffix.lower() == ".glb"
-    text, rest = _split(path, data) if binary else (data, b"")
+    text, rest = split_glb(path, data) if binary else (data, b"")
     tree = json.loads(text)
     if not isinstance(tree, dict):
         raise InputError(f"{path}: expected a glTF scene, got other JSON")
@@ -84,7 +84,7 @@ def load_gltf_scene(path: Path, data: bytes) -> RawMesh:
     return whole
 
 
-def _split(path: Path, data: bytes) -> tuple[bytes, bytes]:
+def split_glb(path: Path, data: bytes) -> tuple[bytes, bytes]:
     """Return the JSON of a GLB and the chunks after it."""
     if data[:4] != b"glTF":
         raise InputError(f"{path}: expected a GLB mesh, got something else (the first bytes are not 'glTF')")

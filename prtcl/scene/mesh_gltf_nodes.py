@@ -37,15 +37,26 @@ def placements(tree: dict[str, Any]) -> list[tuple[int, NDArray[np.float64]]]:
     ValueError
         A node is its own ancestor or has two parents.
     """
-    nodes = tree.get("nodes", [])
-    if not nodes:
+    if not tree.get("nodes"):
         return [(mesh, np.eye(4)) for mesh in range(len(tree.get("meshes", [])))]
+    return [(int(node["mesh"]), matrix) for node, matrix in nodes_placed(tree) if "mesh" in node]
+
+
+def nodes_placed(tree: dict[str, Any]) -> list[tuple[dict[str, Any], NDArray[np.float64]]]:
+    """List every node of the default scene with its matrix to world space, depth first in file order.
+
+    Raises
+    ------
+    ValueError
+        A node is its own ancestor or has two parents.
+    """
+    nodes = tree.get("nodes", [])
     if tree.get("scenes"):
         roots = tree["scenes"][tree.get("scene", 0)].get("nodes", [])
     else:
         children = {child for node in nodes for child in node.get("children", [])}
         roots = [index for index in range(len(nodes)) if index not in children]
-    found: list[tuple[int, NDArray[np.float64]]] = []
+    found: list[tuple[dict[str, Any], NDArray[np.float64]]] = []
     seen: set[int] = set()
     # A list as the stack, since a damaged or deep file must not run into the recursion limit.
     waiting = [(index, np.eye(4)) for index in reversed(roots)]
@@ -56,8 +67,7 @@ def placements(tree: dict[str, Any]) -> list[tuple[int, NDArray[np.float64]]]:
         seen.add(index)
         node = nodes[index]
         matrix = parent @ _local(node)
-        if "mesh" in node:
-            found.append((int(node["mesh"]), matrix))
+        found.append((node, matrix))
         waiting += [(child, matrix) for child in reversed(node.get("children", []))]
     return found
 

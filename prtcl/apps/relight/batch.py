@@ -1,0 +1,182 @@
+"""A batch as the command line asks for it: mesh, lights, materials and views read, and its manifest."""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import dataclass
+from itertools import chain
+from pathlib import Path
+from typing import Any
+
+from prtcl._version import __version__
+from prtcl.apps.bake_options import read_bake
+from prtcl.apps.relight import folder, inputs, names
+from prtcl.compute.device import Device
+from prtcl.errors import InputError
+from prtcl.factors.material import Material
+from prtcl.scene.bake import Bake, is_bake
+from prtcl.scene.camera import Camera, Triple
+from prtcl.scene.camera_path import View, read_views, turntable
+from prtcl.scene.frames import jobs
+from prtcl.scene.mesh import Mesh, read_mesh
+
+
+@dataclass(frozen=True, eq=False)
+class Batch:
+    """What is to be made of what.
+
+    Attributes
+    ----------
+    source : the mesh, smooth if it was asked for, or a bake
+    settings : fixed by hand, as `prtcl.scene.frames.relight` takes them
+    manifest : of its folder; `inputs` in it is all that the images depend on
+    notes : for people
+    """
+
+    source: Mesh | Bake
+    lights: list[Path]
+    rotations: list[float]
+    materials: list[Material | None]
+    views: list[View]
+    points: str
+    samples: int
+    settings: dict[str, Any]
+    manifest: dict[str, Any]
+    notes: list[str]
+
+
+def read(options: argparse.Namespace, device: Device) -> Batch:
+    """Everything but the pixels of the lights, which are read as they are needed.
+
+    Raises
+    ------
+    InputError
+        If something is wrong with an option or a file.
+    """
+    check(options)
+    lights = inputs.environments(options.env)
+    given = dict.fromkeys(options.brdf or [None])
+    materials = [None if spec is None else Material.parse(spec) for spec in given]
+    rotations = list(dict.fromkeys(chain.from_iterable(options.env_rotate or [[0.0]])))
+    if is_bake(options.mesh):
+        source: Mesh | Bake = read_bake(options.mesh, options.rays, options.smooth)
+        mesh, bits = source.mesh, source.bits  # type: ignore[union-attr]
+    else:
+        mesh, bits = read_mesh(options.mesh), None
+        source = mesh = mesh.smooth() if options.smooth else mesh
+    views, notes = views_of(options, mesh)
+    settings = {
+        "levels": options.levels, "rays": options.rays, "keep": options.keep, "views": options.views,
+        "method": options.method, "hard": options.hard_light, "visibility": options.visibility,
+    }  # fmt: skip
+    points = "vertex" if isinstance(source, Bake) else options.points or "pixel"
+    light_names = names.unique(names.plain(path.stem) for path in lights)
+    light_digests = [inputs.file_digest(path) for path in lights]
+    specs = [(m.spec if m is not None else "own") for m in materials]
+    material_names = names.unique(map(names.material_name, specs))
+    view_names = names.unique(names.plain(view.name) for view in views)
+    turns = names.rotation_names(rotations)
+    made_of = inputs.as_json({
+        "version": __version__,
+        "mesh": inputs.mesh_digest(mesh, bits),
+        "environments": list(zip(light_names, light_digests, strict=True)),
+        "rotations": rotations,
+        "materials": [(spec, inputs.material_digest(m)) for spec, m in zip(specs, materials, strict=True)],
+        "cameras": [(name, vars(view.camera)) for name, view in zip(view_names, views, strict=True)],
+        "points": points, "samples": options.samples, "env-up": options.env_up, "repair": options.repair,
+        "one-sided": options.one_sided, "png": options.png, "exposure": options.exposure if options.png else None,
+        **settings, "precision": options.precision,
+        "device": f"{device.name}, driver {device.driver}",
+    })  # fmt: skip
+    every = list(jobs(len(views), len(lights), len(rotations), len(materials)))
+    stems = names.unique(
+        names.file_stem(
+            light_names[j.light], turns[j.rotation], material_names[j.material], view_names[j.view]
+        )
+        for j in every
+    )
+    files = folder.frame_files(stems, options.png)
+    manifest = inputs.as_json({
+        "format": folder.FORMAT,
+        "job": folder.fingerprint(made_of),
+        "about": "images are linear RGBA, float32, colour premultiplied by alpha; rotation in degrees about the up "
+        "axis, counter-clockwise from above; fov horizontal, in degrees; finished.jsonl lists what is done",
+        "inputs": made_of,
+        "environments": [
+            {"name": name, "file": str(path), "sha256": digest}
+            for name, path, digest in zip(light_names, lights, light_digests, strict=True)
+        ],
+        "materials": [
+            {"name": name, "spec": spec} for name, spec in zip(material_names, specs, strict=True)
+        ],
+        "views": [
+            {"name": name, **vars(view.camera)} for name, view in zip(view_names, views, strict=True)
+        ],
+        "frames": [
+            {
+                **own, "environment": light_names[j.light], "rotation": rotations[j.rotation],
+                "material": material_names[j.material], "view": view_names[j.view],
+            }
+            for own, j in zip(files, every, strict=True)
+        ],
+    })  # fmt: skip
+    refuse_inputs(Path(options.output), manifest, [*lights, Path(options.mesh)])
+    return Batch(
+        source, lights, rotations, materials, views, points, options.samples, settings, manifest,
+        [*mesh.notes, *notes],
+    )  # fmt: skip
+
+
+def check(options: argparse.Namespace) -> None:
+    """Refuse options that contradict one another, before anything is read."""
+    if not abs(options.exposure) <= 1000:
+        raise InputError(f"--exposure {options.exposure}: expected stops between -1000 and 1000")
+    if not 1 <= options.samples <= 64:
+        raise InputError(
+            f"--samples {options.samples}: expected 1 to 64, N x N sub-pixel points of every pixel"
+        )
+    if is_bake(options.mesh) and options.points == "pixel":
+        raise InputError(
+            f"--points pixel: {options.mesh} holds the rays of vertices, not of pixels; relight the mesh it was made of"
+        )
+    if options.turntable is not None and options.cameras is not None:
+        raise InputError("--turntable and --cameras: expected one of them, got both")
+    several = "--turntable" if options.turntable is not None else "--cameras" if options.cameras else None
+    if several and options.eye is not None:
+        raise InputError(f"--eye: {several} says where the eyes are; leave one of them out")
+    if options.cameras and options.target is not None:
+        raise InputError("--target: --cameras says where cameras look; leave one of them out")
+    if options.elevation is not None and options.turntable is None:
+        raise InputError("--elevation: is that of a --turntable; give both, or --eye")
+
+
+def views_of(options: argparse.Namespace, mesh: Mesh) -> tuple[list[View], list[str]]:
+    """The views that the options ask for, and notes."""
+    up: Triple = (0.0, 0.0, 1.0) if options.env_up == "z" else (0.0, 1.0, 0.0)
+    up = up if options.up is None else tuple(options.up)
+    target = None if options.target is None else tuple(options.target)
+    if options.cameras:
+        return read_views(options.cameras, size=options.size, up=up, fov=options.fov)
+    if options.turntable is not None:
+        elevation = 20.0 if options.elevation is None else options.elevation
+        views = turntable(
+            mesh.bounds, options.turntable, elevation=elevation, target=target, up=up, fov=options.fov,
+            size=options.size,
+        )  # fmt: skip
+        return views, []
+    eye = None if options.eye is None else tuple(options.eye)
+    camera = Camera.framing(mesh.bounds, eye=eye, target=target, up=up, fov=options.fov, size=options.size)
+    return [View("view", camera)], []
+
+
+def refuse_inputs(output: Path, manifest: dict[str, Any], sources: list[Path]) -> None:
+    """Refuse a batch that would replace a file that it reads."""
+    real = {source.resolve(): source for source in sources}
+    if output.resolve() not in {path.parent for path in real}:
+        return
+    for entry in manifest["frames"]:
+        for name in (entry[key] for key in ("file", "png") if key in entry):
+            if (output / name).resolve() in real:
+                raise InputError(
+                    f"{output / name}: is an input of this job and would be overwritten; choose another folder with -o"
+                )

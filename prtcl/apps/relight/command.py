@@ -1,0 +1,125 @@
+"""`prtcl relight`: images of a mesh under every environment, in every material, from every view."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from collections.abc import Callable
+from contextlib import closing
+from typing import Any
+
+from prtcl.apps.progress import bar
+from prtcl.apps.relight import batch
+from prtcl.apps.relight.folder import MANIFEST, Folder, opened
+from prtcl.apps.relight.writer import Writer
+from prtcl.compute.device import Device
+from prtcl.scene.frames import relight
+from prtcl.scene.frames_engine import BUSY
+
+Tell = Callable[..., None]
+
+
+def run(options: argparse.Namespace) -> int:
+    """Make what is missing of the batch, and report."""
+    start = time.perf_counter()
+    device = Device(options.device, precision=options.precision)
+    job = batch.read(options, device)
+    for note in job.notes:
+        _note(note)
+    tell: Tell = _event if options.json else _silent
+    with opened(options.output, job.manifest, options.overwrite) as folder:
+        report = make(job, folder, device, options, tell)
+    seconds = time.perf_counter() - start
+    report |= {
+        "seconds": round(seconds, 3),
+        "frames_per_second": round(report["frames"] / seconds, 3),
+        "utilisation": round(report["busy"] / seconds, 3),
+    }
+    tell("summary", **report)
+    if not options.json and not options.quiet:
+        print(summary(options.output, report))
+    return 0
+
+
+def make(
+    job: batch.Batch, folder: Folder, device: Device, options: argparse.Namespace, tell: Tell
+) -> dict[str, Any]:
+    """Compute and write the images that are missing; returns what is told of them.
+
+    `busy` is the sum of the kernels' seconds, by OpenCL's own clock, and the wall seconds in which rays were traced.
+    Where a GPU computes while the host traces, both count.
+    """
+    entries = job.manifest["frames"]
+    finished = folder.finished
+    waiting = len(entries) - len(finished)
+    tell(
+        "started", output=options.output, frames=len(entries), skipped=len(finished), device=device.name,
+        manifest=f"{options.output}/{MANIFEST}",
+    )  # fmt: skip
+    for number in sorted(finished):
+        tell("skipped", index=number, **entries[number])
+    device.profile.reset()
+    waited = written = 0.0
+    if waiting:
+        with bar("relight", options.quiet, " images", scale=False) as notify:
+            done = 0
+
+            def told(number: int, entry: dict[str, Any]) -> None:
+                nonlocal done
+                done += 1
+                tell("frame", index=number, done=len(finished) + done, **entry)
+                if notify is not None:
+                    notify(done, waiting)
+
+            if notify is not None:
+                notify(0, waiting)
+            frames = relight(
+                job.source, job.lights, job.materials, job.views, rotations=job.rotations, points=job.points,
+                samples=job.samples, up=options.env_up, repair=options.repair, device=device,
+                two_sided=not options.one_sided, wanted=lambda own: own.index not in finished, note=_note,
+                **job.settings,
+            )  # fmt: skip
+            with closing(frames), Writer(folder, options.exposure, told) as writer:
+                for frame in frames:
+                    writer.put(frame)
+            waited, written = writer.waited, writer.busy
+    host, kernels = device.profile.host_seconds(), sum(device.profile.device_seconds().values())
+    rays = sum(host.get(stage, 0.0) for stage in BUSY)
+    return {
+        "output": options.output,
+        "frames": waiting,
+        "skipped": len(finished),
+        "device": device.name,
+        "busy": round(kernels + rays, 3),
+        "kernel_seconds": round(kernels, 3),
+        "ray_seconds": round(rays, 3),
+        "waited_for_light_seconds": round(host.get("wait_for_light", 0.0), 3),
+        "waited_for_writing_seconds": round(waited, 3),
+        "writing_seconds": round(written, 3),
+    }
+
+
+def summary(output: str, report: dict[str, Any]) -> str:
+    """One line on what was made."""
+    if not report["frames"]:
+        return f"{output}: all {report['skipped']} images were there"
+    there = f", {report['skipped']} were there" if report["skipped"] else ""
+    return (
+        f"{output}: {report['frames']} images{there}, {report['seconds']:.1f} s, "
+        f"{report['frames_per_second']:.2f} images/s, kernels or rays ran {100 * report['utilisation']:.0f} % of the "
+        f"time, on {report['device']}"
+    )
+
+
+def _event(kind: str, **fields: Any) -> None:
+    print(json.dumps({"event": kind, **fields}), flush=True)
+
+
+def _silent(kind: str, **fields: Any) -> None:
+    """Nobody listens."""
+
+
+def _note(text: str) -> None:
+    print(f"prtcl relight: {text}", file=sys.stderr)

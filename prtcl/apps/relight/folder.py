@@ -1,0 +1,293 @@
+"""A batch's folder: what it is to hold, what of that is finished, and files that survive whatever happens.
+
+`manifest.json` says what every image is and what the batch was made of. `finished.jsonl` has a line for each image that
+is done, with the SHA-256 of its files: written after the files themselves have reached the disk, so that what it says
+is so after a reboot as well. An image whose line is missing or whose files are not those is made again.
+"""
+
+from __future__ import annotations
+
+import errno
+import hashlib
+import json
+import os
+import re
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+from prtcl.apps.relight.inputs import file_digest
+from prtcl.apps.relight.lock import locked
+from prtcl.errors import InputError, PrtclError
+from prtcl.files.atomic import made_folder, replacing
+
+MANIFEST, JOURNAL = "manifest.json", "finished.jsonl"
+FORMAT = 1
+_ASIDE = re.compile(r"\.[0-9a-f]{32}(\.[0-9a-z]+)?")
+"""Files written aside by a run that was killed (`prtcl.files.atomic.replacing`)."""
+
+Write = Callable[[Path], None]
+
+
+class Folder:
+    """One batch's output folder; use `opened`.
+
+    Attributes
+    ----------
+    finished : numbers of the images that are whole
+    """
+
+    def __init__(self, path: Path, manifest: dict[str, Any]) -> None:
+        self.path, self.manifest = path, manifest
+        self.files: list[list[str]] = [
+            [entry[key] for key in ("file", "png") if key in entry] for entry in manifest["frames"]
+        ]
+        self._lines: dict[int, dict[str, str]] = {}
+
+    @property
+    def finished(self) -> set[int]:
+        """Numbers of the images that are whole."""
+        return set(self._lines)
+
+    def start(self, overwrite: bool) -> None:
+        """Take the folder over: continue its batch where it is this one, refuse another.
+
+        Raises
+        ------
+        InputError
+            If it holds another batch's images, or other files of the same names, and not `overwrite`.
+        PrtclError
+            If it cannot be written.
+        """
+        with _writing(self.path):
+            for path in self.path.iterdir():
+                if _ASIDE.fullmatch(path.name):
+                    path.unlink()
+            was = self._read_manifest()
+            if was != self.manifest:
+                if was is not None and not overwrite:
+                    raise InputError(
+                        f"{self.path}: holds another job's images; what differs is {_difference(was, self.manifest)}\n"
+                        "choose another folder with -o, or replace them with --overwrite"
+                    )
+                if was is None and not overwrite:
+                    self._refuse_strangers()
+                self._clear(was or {})
+                self.write(MANIFEST, lambda path: _write_text(path, laid_out(self.manifest)))
+            self._lines = self._read_journal()
+            self._rewrite()
+
+    def record(self, number: int, digests: dict[str, str]) -> None:
+        """Note that an image is done, its files being on the disk."""
+        with _writing(self.path / JOURNAL):
+            line = _line({"frame": number, "sha256": digests})
+            file = os.open(self.path / JOURNAL, os.O_WRONLY | os.O_APPEND)
+            try:
+                size = os.fstat(file).st_size
+                try:
+                    if os.write(file, line) != len(line):
+                        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+                    os.fsync(file)
+                except OSError:
+                    os.ftruncate(file, size)
+                    raise
+            finally:
+                os.close(file)
+        self._lines[number] = digests
+
+    def write(self, name: str, write: Write) -> str:
+        """Write a file of the folder, aside and then renamed, through to the disk; returns its SHA-256.
+
+        Raises
+        ------
+        PrtclError
+            If it cannot be written whole: nothing of it is left then.
+        """
+        with _writing(self.path / name):
+            with replacing(self.path / name) as aside:
+                write(aside)
+                digest = _flushed(aside)
+            _flush_folder(self.path)
+        return digest
+
+    def end(self) -> None:
+        """Put the journal in order, as an uninterrupted run leaves it."""
+        if list(self._lines) != sorted(self._lines):
+            self._rewrite()
+
+    def _rewrite(self) -> None:
+        self._lines = dict(sorted(self._lines.items()))
+        lines = [_line({"job": self.manifest["job"]})]
+        lines += [_line({"frame": number, "sha256": digests}) for number, digests in self._lines.items()]
+        self.write(JOURNAL, lambda path: _write_text(path, b"".join(lines).decode()))
+
+    def _read_manifest(self) -> dict[str, Any] | None:
+        """What is there; empty where it is no manifest of ours, None where there is none."""
+        try:
+            found = json.loads((self.path / MANIFEST).read_bytes())
+        except FileNotFoundError:
+            return None
+        except (ValueError, RecursionError):
+            return {}
+        return found if isinstance(found, dict) else {}
+
+    def _read_journal(self) -> dict[int, dict[str, str]]:
+        """Lines of images whose files are what the line says; a last line that was cut off counts as none."""
+        try:
+            lines = (self.path / JOURNAL).read_bytes().split(b"\n")[:-1]
+        except FileNotFoundError:
+            return {}
+        found: dict[int, dict[str, str]] = {}
+        for place, text in enumerate(lines):
+            try:
+                entry = json.loads(text)
+                if place == 0:
+                    if entry["job"] != self.manifest["job"]:
+                        return {}
+                    continue
+                number, digests = int(entry["frame"]), dict(entry["sha256"])
+                if sorted(digests) == sorted(self.files[number]):
+                    found[number] = digests
+            except (ValueError, KeyError, TypeError, IndexError):
+                continue
+        return {number: digests for number, digests in sorted(found.items()) if self._whole(digests)}
+
+    def _whole(self, digests: dict[str, str]) -> bool:
+        try:
+            return all(file_digest(self.path / name) == digest for name, digest in digests.items())
+        except InputError:
+            return False
+
+    def _refuse_strangers(self) -> None:
+        for name in (name for own in self.files for name in own):
+            if os.path.lexists(self.path / name):
+                raise InputError(
+                    f"{self.path / name}: is there already, and no run of `prtcl relight` is known to have made it\n"
+                    "choose another folder with -o, or replace it with --overwrite"
+                )
+
+    def _clear(self, was: dict[str, Any]) -> None:
+        """Remove the images of a batch: first what says that they are finished."""
+        names = [JOURNAL]
+        frames = was.get("frames")
+        for entry in frames if isinstance(frames, list) else []:
+            names += [entry[key] for key in ("file", "png") if isinstance(entry, dict) and key in entry]
+        for name in names:
+            if isinstance(name, str) and name and Path(name).name == name:  # nothing outside the folder
+                with suppress(FileNotFoundError, IsADirectoryError):
+                    (self.path / name).unlink()
+        _flush_folder(self.path)
+
+
+@contextmanager
+def opened(path: str, manifest: dict[str, Any], overwrite: bool) -> Iterator[Folder]:
+    """The folder, made where it is not there, held against other runs while the block runs.
+
+    Parameters
+    ----------
+    manifest : as it is after a round through JSON; "job" is the fingerprint, "frames" the images in their order
+
+    Raises
+    ------
+    InputError, PrtclError
+        As `Folder.start` and `locked` say.
+    """
+    with locked(made_folder(path)):
+        folder = Folder(Path(path), manifest)
+        folder.start(overwrite)
+        yield folder
+        folder.end()
+
+
+@contextmanager
+def _writing(what: Path) -> Iterator[None]:
+    """What goes wrong with the disk is told in two lines, with what to do."""
+    try:
+        yield
+    except _Failed:
+        raise
+    except InputError as error:
+        if not isinstance(error.__cause__, OSError):
+            raise
+        raise _failed(what, error.__cause__) from error
+    except PrtclError as error:
+        raise _failed(what, error.__cause__ if isinstance(error.__cause__, OSError) else error) from error
+    except OSError as error:
+        raise _failed(what, error) from error
+
+
+class _Failed(PrtclError):
+    """Told already."""
+
+
+def _failed(what: Path, error: BaseException) -> PrtclError:
+    if isinstance(error, OSError):
+        reason = error.strerror or str(error)
+    else:  # a writer's own words, without the name of the file that it wrote aside
+        reason = str(error).splitlines()[0].partition(": ")[2] or str(error)
+    return _Failed(
+        f"{what}: cannot be written: {reason}\n"
+        "finished images are kept; when there is room, the same command makes what is missing"
+    )
+
+
+def _difference(was: dict[str, Any], wanted: dict[str, Any]) -> str:
+    """The first thing in which two manifests differ, in words."""
+    before, now = was.get("inputs"), wanted["inputs"]
+    if was.get("format") != wanted["format"] or not isinstance(before, dict):
+        return f"{MANIFEST}, which is none of this version's"
+    for key, value in now.items():
+        old = before.get(key)
+        if old != value:
+            simple = all(own is None or isinstance(own, str | int | float | bool) for own in (old, value))
+            short = simple and len(f"{old}{value}") < 80
+            return f"{key}: {old} there, {value} here" if short else key
+    return "the images' names"
+
+
+def laid_out(manifest: dict[str, Any]) -> str:
+    """A manifest as text: one line for each entry of its lists."""
+    blocks = []
+    for key, value in manifest.items():
+        if isinstance(value, list):
+            text = "[\n" + ",\n".join(f"  {json.dumps(entry)}" for entry in value) + "\n ]"
+        else:
+            text = json.dumps(value)
+        blocks.append(f" {json.dumps(key)}: {text}")
+    return "{\n" + ",\n".join(blocks) + "\n}\n"
+
+
+def _line(entry: dict[str, Any]) -> bytes:
+    return json.dumps(entry).encode() + b"\n"
+
+
+def _write_text(path: Path, text: str) -> None:
+    path.write_bytes(text.encode())
+
+
+def _flushed(path: Path) -> str:
+    """Bring a file's bytes to the disk; returns their SHA-256."""
+    with path.open("rb+") as file:
+        os.fsync(file.fileno())
+    return file_digest(path)
+
+
+def _flush_folder(path: Path) -> None:
+    """Bring a folder's names to the disk, where the system can."""
+    with suppress(OSError):
+        file = os.open(path, os.O_RDONLY)
+        try:
+            os.fsync(file)
+        finally:
+            os.close(file)
+
+
+def fingerprint(inputs: dict[str, Any]) -> str:
+    """One number for all inputs of a batch."""
+    return hashlib.sha256(json.dumps(inputs, sort_keys=True).encode()).hexdigest()
+
+
+def frame_files(stems: Sequence[str], png: bool) -> list[dict[str, str]]:
+    """The files of every image."""
+    return [{"file": f"{stem}.exr", **({"png": f"{stem}.png"} if png else {})} for stem in stems]

@@ -1,0 +1,132 @@
+"""The options of `prtcl relight`."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from collections.abc import Callable
+from typing import Any
+
+MOST_ROTATIONS = 100_000
+
+Add = Callable[[argparse.ArgumentParser], None]
+
+
+def register(
+    commands: Any, size: Callable[[str], tuple[int, int]], fine: Add, device: Add, common: Add,
+    run: Callable[[argparse.Namespace], int],
+) -> None:  # fmt: skip
+    """Add the command.
+
+    Parameters
+    ----------
+    size : the type of --size
+    fine, device, common : add options that other commands have too
+    run : the command itself
+    """
+    from prtcl.factors.material import FORMS
+
+    command = commands.add_parser(
+        "relight",
+        help="many images: every environment x material x view",
+        description="Images of a mesh under every environment, in every material, from every view. Interrupted, "
+        "the same command makes what is missing.",
+    )
+    command.add_argument("mesh", metavar="MESH|BAKE", help="OBJ, PLY, STL, GLB, glTF, or a bake (.npz)")
+    command.add_argument(
+        "--env", required=True, nargs="+", action="extend", metavar="ENV",
+        help="equirectangular EXR or HDR maps, folders of them, or globs",
+    )  # fmt: skip
+    command.add_argument(
+        "--brdf", nargs="+", action="extend", metavar="SPEC",
+        help=f"{FORMS}; a number may be r/g/b (default: the mesh's glTF materials)",
+    )  # fmt: skip
+    command.add_argument(
+        "-o", "--output", required=True, metavar="DIR", help="of the images and manifest.json"
+    )
+    command.add_argument(
+        "--env-rotate", type=rotations, nargs="+", action="extend", metavar="DEG",
+        help="turn each environment about the up axis, counter-clockwise from above: numbers, or START:STOP:STEP with "
+        "both ends, but for STOP where it is a full turn from START: 0:360:90 is 0 90 180 270",
+    )  # fmt: skip
+    command.add_argument("--env-up", choices=("y", "z"), default="y", help="the up axis (default: y)")
+    command.add_argument("--repair", action="store_true", help="replace NaN, infinite and negative radiance")
+    _views(command, size)
+    command.add_argument(
+        "--samples", type=int, default=3, metavar="N", help="N x N sub-pixel points, traced once (default: 3)"
+    )
+    command.add_argument(
+        "--points", choices=("pixel", "vertex"),
+        help="where radiance is computed (default: pixel; vertex for a bake)",
+    )  # fmt: skip
+    command.add_argument("--one-sided", action="store_true", help="surfaces seen from behind are black")
+    command.add_argument("--smooth", action="store_true", help="vertex normals averaged over the faces")
+    command.add_argument("--png", action="store_true", help="also 8-bit sRGB previews")
+    command.add_argument(
+        "--exposure", type=float, default=0.0, metavar="STOPS", help="of the previews (default: 0)"
+    )
+    command.add_argument(
+        "--overwrite", action="store_true", help="replace the images of another job that DIR holds"
+    )
+    fine(command)
+    device(command)
+    command.add_argument("--quiet", action="store_true", help="no progress bar, no summary")
+    command.add_argument(
+        "--json", action="store_true", help="events on standard output as they come, one JSON object a line"
+    )
+    command.set_defaults(run=run)
+
+
+def _views(command: argparse.ArgumentParser, size: Callable[[str], tuple[int, int]]) -> None:
+    """Options that say what the images are seen from."""
+    views = command.add_argument_group("views (default: one that frames the mesh)")
+    views.add_argument(
+        "--turntable", type=int, metavar="N", help="N views from a circle about the up axis, in equal steps"
+    )
+    views.add_argument(
+        "--elevation",
+        type=float,
+        metavar="DEG",
+        help="of the turntable's eye above the horizon (default: 20)",
+    )
+    views.add_argument(
+        "--cameras", metavar="FILE",
+        help="a JSON list of {eye, target[, up, fov, name]}, or the cameras of a .gltf or .glb, which bring their own "
+        "field of view",
+    )  # fmt: skip
+    for name in ("eye", "target", "up"):
+        views.add_argument(f"--{name}", nargs=3, type=float, metavar=("X", "Y", "Z"))
+    views.add_argument("--fov", type=float, default=40.0, metavar="DEG", help="horizontal (default: 40)")
+    views.add_argument(
+        "--size", type=size, default=(512, 512), metavar="WxH", help="pixels (default: 512x512)"
+    )
+
+
+def rotations(text: str) -> list[float]:
+    """Degrees of one argument: numbers between commas, or START:STOP:STEP."""
+    return [degrees for part in text.split(",") for degrees in _range(part)]
+
+
+def _range(text: str) -> list[float]:
+    """START, START + STEP, … up to STOP; STOP itself is left out where it is START again, full turns on."""
+    try:
+        numbers = [float(part) for part in text.split(":")]
+    except ValueError:
+        numbers = []
+    if len(numbers) not in (1, 3) or not all(math.isfinite(number) for number in numbers):
+        raise argparse.ArgumentTypeError(
+            f"expected degrees, or START:STOP:STEP such as 0:360:90, got {text!r}"
+        )
+    if len(numbers) == 1:
+        return numbers
+    start, stop, step = numbers
+    steps = (stop - start) / step if step else -1.0
+    if not 0.0 <= steps < MOST_ROTATIONS:
+        raise argparse.ArgumentTypeError(
+            f"expected a step that leads from start to stop, {MOST_ROTATIONS} times at most, got {text!r}"
+        )
+    # A step of a third of a turn, written 33.333, is none: ends count as met to a millionth of a step.
+    whole = math.floor(steps + 1e-6)
+    turns = (stop - start) / 360.0
+    closes = abs(steps - whole) < 1e-6 and whole > 0 and turns and abs(turns - round(turns)) < 1e-9
+    return [start + step * number for number in range(whole if closes else whole + 1)]
