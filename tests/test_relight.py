@@ -8,6 +8,7 @@ import hashlib
 import json
 import os
 import random
+import re
 import resource
 import shutil
 import signal
@@ -36,7 +37,9 @@ from prtcl.errors import PrtclError
 from prtcl.factors.material import Material, from_table
 from prtcl.files.atomic import replacing
 from prtcl.files.image import read_image, write_exr
-from prtcl.scene.mesh import Mesh, PartMaterial, Texture
+from prtcl.scene.camera import Camera
+from prtcl.scene.mesh import Mesh, PartMaterial, Texture, read_mesh
+from prtcl.scene.scene import Scene
 
 ROOT = Path(__file__).resolve().parents[1]
 SUPPORT = {".relight.lock", "manifest.json", "finished.jsonl"}
@@ -145,6 +148,44 @@ def test_images_manifest_and_events(run: Run, tiny: list[str], files: Path, tmp_
     assert len({image.tobytes() for image in images}) == 8, "two images are the same"
     with Image.open(output / f"{stems[0]}.png") as preview:
         assert preview.size == (12, 8) and preview.text["exposure"] == "-1 stops"
+
+
+def test_an_error_is_met_by_the_same_points_at_every_try(
+    run: Run, tiny: list[str], files: Path, tmp_path: Path
+) -> None:
+    """The pilot times nothing: a plan made again is the same plan, or resuming would be refused."""
+    output = tmp_path / "out"
+    words = [w for w in tiny if w not in ("--samples", "1", "--levels", "3", "--views", "8")]
+    ran = run(*words, "--error", "0.05", "-o", output)
+    assert ran.status == 0, ran.err
+    told = re.search(
+        r"(\d+) x (\d+) points a pixel, 4\^(\d) rays: images are expected to err by ([\d.]+) %", ran.err
+    )
+    assert told is not None and 0.0 < float(told[4]) <= 5.0
+    inputs = json.loads((output / "manifest.json").read_text())["inputs"]
+    assert inputs["samples"] == int(told[1]) and inputs["rays"] == int(told[3])
+    (output / "blue_lambert-albedo-0.5_view.exr").unlink()
+    again = run(*words, "--error", "0.05", "--json", "-o", output)
+    assert again.status == 0 and again.events[-1]["frames"] == 1 and again.events[-1]["skipped"] == 3
+    # What was promised, of the picture it was promised for.
+    scene = Scene(
+        files / "ball.ply", files / "skies" / "blue.exr", "ggx:alpha=0.3,f0=0.04", Camera.framing(
+            read_mesh(files / "ball.ply").bounds, size=(12, 8)
+        ), rays=5, levels=6, keep=6,
+    )  # fmt: skip
+    wanted = scene.render(samples=16).image
+    got = read_image(output / "blue_ggx-alpha-0.3-f0-0.04_view.exr")
+    seen = wanted[..., 3] > 0
+    assert np.sqrt(((got - wanted)[seen][:, :3] ** 2).mean()) < 0.05 * wanted[seen][:, :3].mean()
+
+
+@pytest.mark.parametrize("more", [["--samples", "2"], ["--rays", "3"], ["--points", "vertex"]])
+def test_what_an_error_finds_cannot_be_fixed_beside_it(
+    run: Run, tiny: list[str], tmp_path: Path, more: list[str]
+) -> None:
+    words = [w for w in tiny if w not in ("--samples", "1")]
+    ran = run(*words, "--error", "0.05", *more, "-o", tmp_path / "out")
+    assert ran.status == 2 and "--error" in ran.err and len(ran.err.splitlines()) <= 2
 
 
 def test_the_same_command_again_makes_nothing(run: Run, tiny: list[str], tmp_path: Path) -> None:

@@ -17,8 +17,11 @@ from prtcl.factors.material import Material
 from prtcl.scene.bake import Bake, is_bake
 from prtcl.scene.camera import Camera, Triple
 from prtcl.scene.camera_path import View, read_views, turntable
-from prtcl.scene.frames import jobs
+from prtcl.scene.frames import SAMPLES, jobs
 from prtcl.scene.mesh import Mesh, read_mesh
+from prtcl.scene.plan import check_error
+from prtcl.scene.plan_frames import plan_frames
+from prtcl.scene.scene import Scene, read_environment
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,6 +72,22 @@ def read(options: argparse.Namespace, device: Device) -> Batch:
         "levels": options.levels, "rays": options.rays, "keep": options.keep, "views": options.views,
         "method": options.method, "hard": options.hard_light, "visibility": options.visibility,
     }  # fmt: skip
+    samples = SAMPLES if options.samples is None else options.samples
+    if options.error is not None:
+        light, _ = read_environment(lights[0], rotate=rotations[0], up=options.env_up, repair=options.repair)
+        scenes = [
+            Scene(
+                mesh, light, own, views[0].camera, device=device, two_sided=not options.one_sided, **settings
+            )
+            for own in materials
+        ]
+        plan = plan_frames(scenes, options.error)
+        settings["rays"], samples = plan.rays, plan.samples
+        notes = [
+            *notes,
+            f"{samples} x {samples} points a pixel, 4^{plan.rays} rays: images are expected to err by "
+            f"{100 * plan.predicted:.2g} %",
+        ]
     points = "vertex" if isinstance(source, Bake) else options.points or "pixel"
     light_names = names.unique(names.plain(path.stem) for path in lights)
     light_digests = [inputs.file_digest(path) for path in lights]
@@ -83,7 +102,7 @@ def read(options: argparse.Namespace, device: Device) -> Batch:
         "rotations": rotations,
         "materials": [(spec, inputs.material_digest(m)) for spec, m in zip(specs, materials, strict=True)],
         "cameras": [(name, vars(view.camera)) for name, view in zip(view_names, views, strict=True)],
-        "points": points, "samples": options.samples, "env-up": options.env_up, "repair": options.repair,
+        "points": points, "samples": samples, "env-up": options.env_up, "repair": options.repair,
         "one-sided": options.one_sided, "png": options.png, "exposure": options.exposure if options.png else None,
         **settings, "precision": options.precision,
         "device": f"{device.name}, driver {device.driver}",
@@ -122,7 +141,7 @@ def read(options: argparse.Namespace, device: Device) -> Batch:
     })  # fmt: skip
     refuse_inputs(Path(options.output), manifest, [*lights, Path(options.mesh)])
     return Batch(
-        source, lights, rotations, materials, views, points, options.samples, settings, manifest,
+        source, lights, rotations, materials, views, points, samples, settings, manifest,
         [*mesh.notes, *notes],
     )  # fmt: skip
 
@@ -131,7 +150,7 @@ def check(options: argparse.Namespace) -> None:
     """Refuse options that contradict one another, before anything is read."""
     if not abs(options.exposure) <= 1000:
         raise InputError(f"--exposure {options.exposure}: expected stops between -1000 and 1000")
-    if not 1 <= options.samples <= 64:
+    if options.samples is not None and not 1 <= options.samples <= 64:
         raise InputError(
             f"--samples {options.samples}: expected 1 to 64, N x N sub-pixel points of every pixel"
         )
@@ -139,6 +158,14 @@ def check(options: argparse.Namespace) -> None:
         raise InputError(
             f"--points pixel: {options.mesh} holds the rays of vertices, not of pixels; relight the mesh it was made of"
         )
+    if options.error is not None:
+        check_error(options.error)
+        if options.samples is not None or options.rays is not None:
+            raise InputError("--error: finds --samples and --rays; leave these out, or --error")
+        if options.points == "vertex" or is_bake(options.mesh):
+            raise InputError(
+                "--error: seeks the points of pixels; fix --levels and --rays of vertices by hand"
+            )
     if options.turntable is not None and options.cameras is not None:
         raise InputError("--turntable and --cameras: expected one of them, got both")
     several = "--turntable" if options.turntable is not None else "--cameras" if options.cameras else None

@@ -53,8 +53,13 @@ def register(
     command.add_argument("--repair", action="store_true", help="replace NaN, infinite and negative radiance")
     _views(command, size)
     command.add_argument(
-        "--samples", type=int, default=3, metavar="N", help="N x N sub-pixel points, traced once (default: 3)"
+        "--samples", type=int, metavar="N", help="N x N sub-pixel points, traced once (default: 3)"
     )
+    command.add_argument(
+        "--error", type=float, metavar="E",
+        help="relative RMSE to aim for: finds the rays and points that meet it in every material under the first light "
+        "from the first view",
+    )  # fmt: skip
     command.add_argument(
         "--points", choices=("pixel", "vertex"),
         help="where radiance is computed (default: pixel; vertex for a bake)",
