@@ -1,0 +1,66 @@
+"""The same input on the same device gives the same bytes: in one process, in another, and whatever ran before."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from prtcl.compute import choice
+from prtcl.compute.device import Device
+from prtcl.factors.environment import Environment
+from prtcl.files.image import write_exr
+from prtcl.scene.camera import Camera
+from prtcl.scene.mesh import Mesh
+from prtcl.scene.scene import Scene
+from prtcl.scene.session import Session
+
+ROOT = Path(__file__).resolve().parents[1]
+VIEW = Camera((3.1, 2.5, 5.4), (-0.1, 0.75, -0.3), fov=38.0, size=(32, 24))
+SPEC = "ggx:alpha=0.3,f0=0.5/0.6/0.3,kd=0.3"
+
+
+def test_two_processes_write_the_same_file(
+    mesh: Mesh, sky: Environment, tmp_path: Path, opencl_device: choice.Seen
+) -> None:
+    """Adaptive points, hard light, threads: nothing of it depends on what finishes first."""
+    import trimesh
+
+    trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).export(tmp_path / "mesh.ply")
+    write_exr(tmp_path / "sky.exr", np.dstack([sky.image, np.ones(sky.image.shape[:2], np.float32)]))
+    files = []
+    for name, seed in (("a", "1"), ("b", "2")):
+        command = [
+            sys.executable, "-m", "prtcl", "render", "mesh.ply", "--env", "sky.exr", "--brdf", SPEC, "--size", "32x24",
+            "--device", opencl_device.spec, "--quiet", "--error-channel", "-o", f"{name}.exr",
+        ]  # fmt: skip
+        environment = {**os.environ, "PYTHONHASHSEED": seed, "PYTHONPATH": str(ROOT)}
+        subprocess.run(command, cwd=tmp_path, env=environment, check=True, timeout=240)
+        files.append((tmp_path / f"{name}.exr").read_bytes())
+    assert files[0] == files[1]
+
+
+@pytest.mark.parametrize("points", ["pixel", "vertex"])
+def test_a_device_that_was_used_gives_the_same_bytes(
+    device: Device, mesh: Mesh, sky: Environment, points: str
+) -> None:
+    """Pooled memory, cached programs and tables, other scenes before: none of it is seen."""
+    first = Scene(mesh, sky, SPEC, VIEW, device=device).render(points=points)
+    Scene(mesh, Environment.constant(2.0), "lambert:albedo=0.5", VIEW, device=device).render(samples=1)
+    again = Scene(mesh, sky, SPEC, VIEW, device=device).render(points=points)
+    assert (first.image == again.image).all() and (first.error == again.error).all()
+
+
+def test_a_session_gives_the_same_bytes_whatever_was_seen_before(
+    device: Device, mesh: Mesh, sky: Environment
+) -> None:
+    straight = Session(mesh, sky, SPEC, VIEW, device=device, levels=5).view().image
+    session = Session(mesh, sky, "lambert:albedo=0.5", VIEW, device=device, levels=5)
+    session.view(eye=(-3.0, 1.0, 2.0))
+    session.material = SPEC
+    session.view(eye=(0.0, 4.0, 0.5))
+    assert (session.view(VIEW).image == straight).all()
