@@ -139,8 +139,63 @@ def sparse(data: Data) -> None:
         )
 
 
+def plan(data: Data) -> None:
+    """What was asked of `--error`, predicted and found, beside the best fixed setting."""
+    print(
+        "\n| mesh | environment | material | asked | predicted | found | chosen | time (pilot) | best fixed setting |\n"
+        + "|---" * 9 + "|"
+    )  # fmt: skip
+    for row in data["rows"]:
+        where = f"{row['mesh']}{'' if row['unseen'] else ' *'} | {row['environment']} | `{row['material']}`"
+        if "refused" in row:
+            print(f"| {where} | {100 * row['asked']:.0f} % | refused | | | | |")
+            continue
+        best, points = row["best_fixed"], " + ".join(f"{n:.0f}" for n in row["points_per_pixel"])
+        beside = "none meets it"
+        if best is not None:
+            how = (
+                f"{best['samples']} × {best['samples']} points"
+                if "samples" in best
+                else f"aim {best['pixel_error']:g}"
+            )
+            beside = (
+                f"4^{best['rays']} rays, {how}: {best['seconds']:.1f} s, {100 * best['error']:.2f} %; "
+                f"**{row['seconds'] / best['seconds']:.2f} ×**"
+            )
+        print(
+            f"| {where} | {100 * row['asked']:.0f} % | {100 * row['predicted']:.2f} % | {100 * row['true']:.2f} % | "
+            f"4^{row['rays']} rays, {points} points | {row['seconds']:.1f} s ({row['pilot_seconds']:.1f}) | {beside} |"
+        )
+    print(f"\n{data['size'][0]} × {data['size'][1]} pixels, {data['device']}, `{data['command']}`\n")
+
+
+def leave_out(data: Data) -> None:
+    """Each name on and off."""
+    for case in data["cases"]:
+        best = case["rows"][0]
+        print(f"\n{case['scene']}, {case['points']} points\n")
+        print(
+            "| left out | time | device memory | all points' bytes | rays | picture differs by |\n"
+            + "|---" * 6
+            + "|"
+        )
+        for row in case["rows"]:
+            print(
+                f"| {row['leave_out']} | {row['seconds']:.2f} s, {row['seconds'] / best['seconds']:.2f} × | "
+                f"{row['device_bytes'] / 2**20:.0f} MiB, {row['device_bytes'] / best['device_bytes']:.2f} × | "
+                f"{row['bytes_of_all_points'] / 2**20:.0f} MiB, "
+                f"{row['bytes_of_all_points'] / best['bytes_of_all_points']:.2f} × | {row['rays'] / 1e6:.1f} M | "
+                f"{100 * row['difference']:.3f} % |"
+            )
+    print(f"\n{data['device']}, `{data['command']}`\n")
+
+
+TABLES = (
+    accuracy, mitsuba, editing, visibility, browser, bench, change_view, change_light, sparse, plan, leave_out,
+)  # fmt: skip
+
 if __name__ == "__main__":
-    for table in (accuracy, mitsuba, editing, visibility, browser, bench, change_view, change_light, sparse):
+    for table in TABLES:
         path = RESULTS / f"{table.__name__}.json"
         if path.is_file():
             table(json.loads(path.read_text(encoding="utf-8")))
