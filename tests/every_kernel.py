@@ -20,15 +20,16 @@ from numpy.typing import ArrayLike, DTypeLike, NDArray
 from prtcl import quadtree, reference
 from prtcl.compute.device import Device
 from prtcl.compute.source import kernel_folder
-from prtcl.factors import environment, hemisphere
+from prtcl.factors import environment, hemisphere, sphere
 from prtcl.factors.bivariate import Bivariate
 from prtcl.factors.environment import Environment, Light
 from prtcl.factors.material import Material, from_table
 from prtcl.factors.measured import Measured
+from prtcl.factors.pixel_visibility import Pixels, cell_turns
 from prtcl.factors.slice_operator import SliceOperator
 from prtcl.factors.slices import Materials
 from prtcl.factors.table_slices import TableSlices
-from prtcl.transport import collapse, cut, shade
+from prtcl.transport import collapse, cut, pixel_transport, shade
 from prtcl.transport.hard_tree import HardSums
 from prtcl.transport.leaves import Leaves, Squares
 from prtcl.transport.settings import Settings
@@ -378,9 +379,76 @@ def limits(device: Device) -> None:
     close(device, out.get(), 16 * (2 * np.arange(3) + 1 + 2 * 5 * 2.0))
 
 
+def fixed_views(device: Device) -> None:
+    """Transport of pixels, its product with many lights, hard light on pixels."""
+    chosen, rng = all_materials(), np.random.default_rng(8)
+    counts = np.array([1, 16, 3] * 3)
+    pixels, total = Pixels.of(np.repeat(np.arange(len(counts)), counts)), counts.sum()
+    material = (np.arange(total) % len(chosen)).astype(np.int32)
+    frames, views = cases.frames(total).astype(np.float64), directions(total)
+    outgoing = np.concatenate([views, np.zeros((total, 1))], axis=1)
+    bits = rng.integers(0, 2**32, (len(pixels), 1), dtype=np.uint32)
+    tile = pixel_transport.Tile(
+        device.array(pixels.first, np.int32), device.array(pixels.phase, np.int32), device.array(frames),
+        device.array(outgoing), bits, device.array(bits, np.uint32),
+    )  # fmt: skip
+    materials, kinds = Materials(device, chosen), device.array(material, np.int32)
+    world = sphere.centres(2)[:, :3].astype(np.float64)
+    expected = np.zeros((3, len(pixels), 32))
+    for pixel in range(len(pixels)):
+        point = pixels.point(np.full(32, pixel), cell_turns(np.arange(32)))
+        for d in range(32):
+            local = frames[point[d]] @ world[d]
+            if bits[pixel, 0] >> np.uint32(d) & 1 and local[2] > 0:
+                f = reference.brdf(
+                    chosen[material[point[d]]].reference(), local[None], views[point[d]][None]
+                )[0]
+                expected[:, pixel, d] = f * local[2] * 2 * np.pi / 16
+    cells = device.array(np.arange(32), np.int32)
+    grids = pixel_transport.Grids(2, 2, 2)
+    rows = pixel_transport.transport(device, materials, kinds, tile, cells, grids, 3)
+    close(device, rows.get(), expected, slack=10)
+    lights = rng.uniform(size=(5, 32, 3))
+    panels = device.array(pixel_transport.panels(lights))
+    wanted = np.zeros((len(pixels), 3, pixel_transport.PANEL))
+    wanted[..., :5] = np.einsum("cpk,ekc->pce", rows.get().astype(np.float64), lights)
+    got = pixel_transport.product(device, rows, panels, cells)
+    close(device, got.get(), wanted)
+    twin = device.kernels("pixel_product.cl", CHANNELS=3, PANEL=pixel_transport.PANEL)["pixel_product_plain"]
+    plain = device.empty(wanted.shape)
+    device.launch(
+        twin, 3 * pixel_transport.PANEL, 16, rows, panels, 32, cells, 32, len(pixels), 1, plain, y=len(pixels)
+    )
+    close(device, plain.get(), wanted)
+    hard, light = sky(1, hard=True).hard, np.zeros((3, 2, 4))
+    light[:, 0, :3], light[:, 1, :3] = hard[:, :3], hard[:, 3:]
+    corners = np.array([[-1] * 4, [3, 3, 7, 7], [-1] * 4])
+    kernel = device.kernels("pixel_lights.cl", KINDS=materials.mask, GROUP=64)["pixel_lights"]
+    device.launch(
+        kernel, len(pixels), 64, *materials.arguments, kinds, device.array(light),
+        device.array(np.arange(3), np.int32), device.array(np.array([0, 3]), np.int32), tile.device_bits, 1,
+        tile.device_bits, 1, device.array(corners, np.int32), device.array(np.full((3, 4), 0.25)), tile.frames,
+        tile.views, tile.first, tile.phase, len(pixels), pixel_transport.PANEL, plain,
+    )  # fmt: skip
+    for pixel in range(len(pixels)):
+        for number, sample in enumerate(hard):
+            own = corners[number, 0] < 0
+            for bit, turn in (
+                [(number, number)] if own else zip(corners[number], cell_turns(corners[number]), strict=True)
+            ):
+                point = int(pixels.point(np.array(pixel), np.array(turn)))
+                local = frames[point] @ sample[:3]
+                if bits[pixel, 0] >> np.uint32(bit) & 1 and local[2] > 0:
+                    f = reference.brdf(chosen[material[point]].reference(), local[None], views[point][None])[
+                        0
+                    ]
+                    wanted[pixel, :, 0] += (1.0 if own else 0.25) * f * local[2] * sample[3:]
+    close(device, plain.get(), wanted, slack=10)
+
+
 TASKS: tuple[Callable[[Device], None], ...] = (
     haar_both_ways, triple_products, visibility, environment_gathered_and_splat, light_and_visibility, reflectance,
-    radiance, hard_light, editing, hard_light_kept, bivariate, limits,
+    radiance, hard_light, editing, hard_light_kept, bivariate, fixed_views, limits,
 )  # fmt: skip
 
 

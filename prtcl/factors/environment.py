@@ -67,7 +67,7 @@ class Environment:
     rotate: float = 0.0
     up: str = "y"
     name: str = "environment"
-    _parts: dict[tuple[int, str, int], _Parts] = field(default_factory=dict, repr=False)
+    _parts: dict[tuple[int, str, int, float, float], _Parts] = field(default_factory=dict, repr=False)
     """What `split` made on the map's own axes; `dataclasses.replace` hands it on, so a turned map is not split anew."""
 
     def __post_init__(self) -> None:
@@ -106,7 +106,10 @@ class Environment:
         edges = np.cos(np.pi * np.arange(height + 1) / height)
         return (edges[:-1] - edges[1:]) * (2 * np.pi / (2 * height))
 
-    def split(self, levels: int, hard: str = "auto", max_samples: int = hardlight.MAX_SAMPLES) -> Light:
+    def split(
+        self, levels: int, hard: str = "auto", max_samples: int = hardlight.MAX_SAMPLES,
+        share: float = HARD_SHARE, spread: float = hardlight.SPREAD,
+    ) -> Light:  # fmt: skip
         """Soft cube and hard samples for hemispheres of 4**levels cells.
 
         Parameters
@@ -114,14 +117,16 @@ class Environment:
         levels : of the hemisphere grid the light will be gathered on
         hard : "auto" takes hard light out where there is any, "off" leaves everything in the map
         max_samples : at most so many hard samples
+        share : of the mean irradiance, what a cell of `HARD_LEVELS` may hold before its light is hard
+        spread : as `hardlight.SPREAD`
 
         Returns
         -------
         light : Light
         """
-        key = (levels, hard, max_samples)
+        key = (levels, hard, max_samples, share, spread)
         if key not in self._parts or self._parts[key].image is not self.image:
-            self._parts[key] = self._split(levels, hard, max_samples)
+            self._parts[key] = self._split(*key)
         parts = self._parts[key]
         world = parts.hard.copy()
         world[:, :3] = parts.hard[:, :3] @ self.to_map  # rows times the matrix: its transpose, map to world
@@ -129,12 +134,12 @@ class Environment:
             cube=parts.cube, hard=world, to_map=self.to_map, levels=levels, hard_share=parts.hard_share
         )
 
-    def _split(self, levels: int, hard: str, max_samples: int) -> _Parts:
+    def _split(self, levels: int, hard: str, max_samples: int, share: float, spread: float) -> _Parts:
         """`split` on the map's own axes."""
         image = np.asarray(self.image, dtype=np.float64)
         solid = self.texel_solid_angles()
         mean = float((image.mean(axis=2) * solid[:, None]).sum() / (4 * np.pi))
-        threshold = HARD_SHARE * np.pi * mean / (2 * np.pi / 4**HARD_LEVELS)
+        threshold = share * np.pi * mean / (2 * np.pi / 4**HARD_LEVELS)
         face = cube_face(levels)
         if hard == "off" or not (image.mean(axis=2).max() > threshold > 0.0):
             threshold = np.inf
@@ -147,11 +152,13 @@ class Environment:
             rows, columns = np.nonzero(bright)
             fine = hardlight.subtexels(image, rows, columns, max(refine, hardlight.REFINE))
             soft, excess = hardlight.clip(fine.radiance, threshold)
-            lights = hardlight.cluster(fine.directions, excess * fine.solid_angles[:, None], max_samples)
+            lights = hardlight.cluster(
+                fine.directions, excess * fine.solid_angles[:, None], max_samples, spread
+            )
             parts = chain(parts, [hardlight.Subtexels(fine.directions, soft, fine.solid_angles)])
         total = float((image.sum(axis=2) * solid[:, None]).sum())
-        share = float(lights[:, 3:].sum()) / total if total else 0.0
-        return _Parts(self.image, splat_cube(parts, face), lights, share)
+        held = float(lights[:, 3:].sum()) / total if total else 0.0
+        return _Parts(self.image, splat_cube(parts, face), lights, held)
 
 
 @dataclass(frozen=True, eq=False)

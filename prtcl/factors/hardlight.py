@@ -82,11 +82,11 @@ def clip(radiance: Array, threshold: float) -> tuple[Array, Array]:
     return radiance * kept, radiance * (1.0 - kept)
 
 
-def cluster(directions: Array, energy: Array, max_samples: int) -> Array:
+def cluster(directions: Array, energy: Array, max_samples: int, spread: float = SPREAD) -> Array:
     """Median-cut clusters of energetic directions, each a direction and the energy of all its members.
 
     The cluster with the largest energy × extent is split at the energy median of its longest axis, until that
-    product is below `SPREAD` of the whole or `max_samples` is reached.
+    product is below `spread` of the whole or `max_samples` is reached.
 
     Parameters
     ----------
@@ -105,15 +105,15 @@ def cluster(directions: Array, energy: Array, max_samples: int) -> Array:
 
     def entry(index: npt.NDArray[np.int64], order: int) -> tuple[float, int, npt.NDArray[np.int64], int]:
         w = weight[index] / weight[index].sum()
-        spread = directions[index] - w @ directions[index]
-        variance = w @ spread**2
+        away = directions[index] - w @ directions[index]
+        variance = w @ away**2
         extent = np.degrees(2.0 * np.sqrt(variance.sum()))
         priority = float(weight[index].sum() / total * extent) if index.size > 1 else 0.0
         return -priority, order, index, int(np.argmax(variance))
 
     heap = [entry(members, 0)]
     made = 1
-    while len(heap) < max_samples and -heap[0][0] > SPREAD:
+    while len(heap) < max_samples and -heap[0][0] > spread:
         _, _, index, axis = heapq.heappop(heap)
         index = index[np.argsort(directions[index, axis], kind="stable")]
         running = np.cumsum(weight[index])

@@ -25,16 +25,19 @@ Bits = npt.NDArray[np.bool_]
 Indices = npt.NDArray[np.intp]
 
 
-def visibility(points: int, levels: int, visible: Callable[[Indices, Indices], Bits]) -> Bits:
+def visibility(
+    points: int, levels: int, visible: Callable[[Indices, Indices], Bits], blocks: int = BLOCKS
+) -> Bits:
     """What each point sees: (points, 4**levels) bool in Morton order.
 
     Parameters
     ----------
     visible : whether some rays reach the light, given each one's point and its sample's number in Morton order
+    blocks : along a side to begin with, at least
     """
     side = 1 << levels
     morton, order = _tables(levels)
-    step = max(1, min(LARGEST, side // BLOCKS))
+    step = max(1, min(LARGEST, side // blocks))
 
     def trace(which: Bits) -> Bits:
         cells = _outermost(side, step)

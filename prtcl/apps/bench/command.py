@@ -32,7 +32,9 @@ ORDER = ("visibility", "bits_to_coefficients", "light", "light_times_visibility"
 """How a table begins; stages that are not named here follow."""
 
 # Stages and rivals enter themselves when they are imported.
-for _module in ("light", "transforms", "shading", "rivals_haar", "rivals_pixel", "rivals_shading"):
+for _module in (
+    "light", "transforms", "shading", "relighting", "rivals_haar", "rivals_pixel", "rivals_shading",
+):  # fmt: skip
     import_module(f"prtcl.apps.bench.{_module}")
 
 

@@ -182,6 +182,13 @@ def inner_product(size: Size, slices: int) -> Cost:
     return moved, size.points * 4 * size.channels * size.samples
 
 
+def pixel_product(size: Size, environments: int) -> Cost:
+    """A row over both hemispheres in, three sums an environment out, all lights once."""
+    cells = 2 * size.samples
+    moved = 2 * size.points * size.row + environments * 3 * REAL * (cells + size.points)
+    return moved, 2 * size.points * cells * 3 * environments
+
+
 def cut(size: Size, leaves: int) -> Cost:
     """Four bytes a leaf, of all points' `leaves` together, a view in and radiance out; the BRDF a leaf."""
     each = GGX + FRESNEL * size.channels + 2 * size.channels + 3

@@ -19,6 +19,7 @@ TIMED_BY = {
     "environment": ("light",),
     "product": ("light_times_visibility_reduced", "light_times_visibility_packed"),
     "inner_product": ("inner_product",),
+    "pixel_product": ("pixel_product",),
 }
 """Stages by tunable."""
 LEVELS, CHANNELS = (5, 6), 3

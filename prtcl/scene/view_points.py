@@ -1,0 +1,75 @@
+"""All sub-pixel points of a view at once, for engines that keep a view: `prtcl.transport.fixed_view`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from prtcl.factors.visibility import Tracer
+from prtcl.scene.camera import Camera
+from prtcl.scene.mesh import Mesh
+from prtcl.scene.points import pixel_points, shoot
+from prtcl.transport.pipeline import Points
+
+BATCH = 1 << 19
+"""Camera rays in flight."""
+SIDE = 8
+"""Points along a pixel's side: V ⊕ f_v traces no more rays for more points, and glints need them
+(bench/relight_choices.py)."""
+
+
+@dataclass(frozen=True, eq=False)
+class ViewPoints:
+    """What a camera's pixels see.
+
+    Attributes
+    ----------
+    points : of all pixels, those of each together, pixels in ascending order
+    pixel : (points,) int64, flat index of each one's pixel, row by row
+    seen : (pixels,) int64, the pixels that see the mesh, ascending
+    coverage : (pixels,) float64, the share of their points that do
+    size : width and height
+    """
+
+    points: Points
+    pixel: npt.NDArray[np.int64]
+    seen: npt.NDArray[np.int64]
+    coverage: npt.NDArray[np.float64]
+    size: tuple[int, int]
+
+    @classmethod
+    def of(
+        cls, mesh: Mesh, tracer: Tracer, camera: Camera, side: int = SIDE, *, two_sided: bool = True,
+        one_material: bool = False,
+    ) -> ViewPoints:  # fmt: skip
+        """Shoot side × side camera rays through every pixel.
+
+        Parameters
+        ----------
+        one_material : all points are of material 0, whatever the mesh's parts
+        """
+        each, count = side * side, camera.size[0] * camera.size[1]
+        found: list[tuple[npt.NDArray[np.int64], Points]] = []
+        for start in range(0, count, max(1, BATCH // each)):
+            some = np.arange(start, min(count, start + max(1, BATCH // each)))
+            pixel, sub = np.repeat(some, each), np.tile(np.arange(each), len(some))
+            hits = shoot(tracer, camera, pixel, sub)
+            found.append((pixel[hits.ray], pixel_points(mesh, tracer, hits, sub[hits.ray], two_sided)))
+        pixel = np.concatenate([own for own, _ in found])
+        arrays = [own.name for own in fields(Points) if own.name != "polar"]
+        points = Points(
+            **{name: np.concatenate([getattr(own, name) for _, own in found]) for name in arrays}, polar=True
+        )
+        if one_material:
+            points = replace(points, material=np.zeros_like(points.material))
+        seen, hits_of = np.unique(pixel, return_counts=True)
+        return cls(points, pixel, seen, hits_of / each, camera.size)
+
+    def image(self, radiance: npt.NDArray[np.floating]) -> npt.NDArray[np.float32]:
+        """(h, w, 4) linear RGBA, colour premultiplied by coverage, of the radiance (pixels, 3) of what was seen."""
+        out = np.zeros((self.size[0] * self.size[1], 4), dtype=np.float32)
+        out[self.seen, :3] = radiance * self.coverage[:, None]
+        out[self.seen, 3] = self.coverage
+        return out.reshape(self.size[1], self.size[0], 4)
