@@ -26,6 +26,7 @@ import trimesh
 from PIL import Image
 
 from prtcl.apps.cli import main
+from prtcl.apps.relight import batch as batch_module
 from prtcl.apps.relight import folder as folder_module
 from prtcl.apps.relight import writer as writer_module
 from prtcl.apps.relight.inputs import digest, material_digest, mesh_digest
@@ -40,6 +41,7 @@ from prtcl.files.image import read_image, write_exr
 from prtcl.scene.camera import Camera
 from prtcl.scene.mesh import Mesh, PartMaterial, Texture, read_mesh
 from prtcl.scene.scene import Scene
+from prtcl.transport.engine_choice import Choice
 
 ROOT = Path(__file__).resolve().parents[1]
 SUPPORT = {".relight.lock", "manifest.json", "finished.jsonl"}
@@ -186,6 +188,53 @@ def test_what_an_error_finds_cannot_be_fixed_beside_it(
     words = [w for w in tiny if w not in ("--samples", "1")]
     ran = run(*words, "--error", "0.05", *more, "-o", tmp_path / "out")
     assert ran.status == 2 and "--error" in ran.err and len(ran.err.splitlines()) <= 2
+
+
+def test_many_lights_share_a_transport(run: Run, tiny: list[str], tmp_path: Path) -> None:
+    """`--factorization view` and `light` make one picture, each to its own error."""
+    images = {}
+    words = [w for w in tiny if w not in ("--samples", "1", "--levels", "3", "--views", "8")]
+    for name in ("light", "view"):
+        output = tmp_path / name
+        ran = run(*words, "--factorization", name, "--samples", "8", "--env-rotate", "0:360:90", "-o", output)
+        assert ran.status == 0, ran.err
+        images[name] = {path.name: read_image(path) for path in sorted(output.glob("*.exr"))}
+    assert len(images["view"]) == 16 and images["view"].keys() == images["light"].keys()
+    for name, got in images["view"].items():
+        wanted = images["light"][name]
+        seen = wanted[..., 3] > 0
+        off = np.sqrt(((got - wanted)[seen][:, :3] ** 2).mean()) / wanted[seen][:, :3].mean()
+        # 64 points of a pixel do not resolve the lamp's glint on a ball of six pixels, in either.
+        assert off < (0.06 if "ggx" in name else 0.02), (name, off)
+
+
+def test_an_interrupted_choice_is_kept(
+    run: Run, tiny: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What was tried and found faster is no input: another trial may find otherwise, and the images would not match."""
+    words = [w for w in tiny if w not in ("--levels", "3", "--views", "8")]
+    many = [*words, "--env-rotate", "0:360:60", "--explain"]
+    tried = []
+
+    def choose(*given: Any) -> Choice:
+        tried.append(len(given[4]))
+        return Choice(("view", "light")[len(tried) - 1], "for the test")
+
+    monkeypatch.setattr(batch_module, "choose_engine", choose)
+    first = run(*many, "-o", tmp_path / "out")
+    assert first.status == 0 and "factorization view: for the test" in first.err and tried == [12]
+    before = contents(tmp_path / "out")
+    next((tmp_path / "out").glob("*.exr")).unlink()
+    again = run(*many, "-o", tmp_path / "out")
+    assert again.status == 0 and "factorization view: as the run before" in again.err and tried == [12]
+    assert contents(tmp_path / "out") == before
+    few = run(*words, "--explain", "-o", tmp_path / "few")
+    assert "factorization light: 2 lights are too few" in few.err and tried == [12]
+
+
+def test_vertices_and_bakes_have_no_view_to_factor(run: Run, tiny: list[str], tmp_path: Path) -> None:
+    ran = run(*tiny, "--points", "vertex", "--factorization", "view", "-o", tmp_path / "out")
+    assert ran.status == 2 and "view has pixels, no vertices" in ran.err
 
 
 def test_the_same_command_again_makes_nothing(run: Run, tiny: list[str], tmp_path: Path) -> None:

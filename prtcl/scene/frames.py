@@ -23,11 +23,13 @@ from prtcl.scene.camera_path import View
 from prtcl.scene.frames_ahead import ahead
 from prtcl.scene.frames_engine import Engine, Simple, Wanted, with_rotation
 from prtcl.scene.frames_looks import Looks
+from prtcl.scene.frames_view import ViewEngine
 from prtcl.scene.mesh import Mesh
 from prtcl.scene.scene import Path, read_environment
 
 SAMPLES = 3
 """3 × 3 points a pixel: fixed, where `Scene.render` adapts, so that they are traced once for all lights."""
+FACTORIZATIONS = ("light", "view")
 READ_AHEAD = 2
 KEPT = 512 << 20
 """Bytes of environments that are kept from one view to the next."""
@@ -89,7 +91,8 @@ def relight(
     *,
     rotations: Sequence[float] = (0.0,),
     points: str = "pixel",
-    samples: int = SAMPLES,
+    samples: int | None = None,
+    factorization: str = "light",
     up: str = "y",
     repair: bool = False,
     device: Device | None = None,
@@ -111,13 +114,15 @@ def relight(
     cameras : the views, with names or without; None frames the mesh
     rotations : degrees by which each light is turned, about its up axis, counter-clockwise seen from above
     points : "pixel" computes radiance at what the pixels see, "vertex" at the mesh's vertices
-    samples : N × N sub-pixel points a pixel, 1 to 64, traced once a view
+    samples : N × N sub-pixel points a pixel, 1 to 64, traced once a view; None takes what suits the engine
+    factorization : "light" collapses L ⊕ V for each light, for all materials; "view" makes V ⊕ f_v for each view, for
+        blocks of lights at once, which pays from some ten lights on; it takes neither vertices nor colours of the mesh
     up, repair : as for `read_environment`
     device : None chooses one
     two_sided, smooth, settings : as for `Scene`
     wanted : which images to make, of those there are; None makes all
     note : called with notes on lights as they are read
-    engine : what computes the images; None takes `prtcl.scene.frames_engine.Simple`. The arguments from `points` to
+    engine : what computes the images; None takes that of `factorization`. The arguments from `points` to
         `settings`, but for `up` and `repair`, are then its own affair
 
     Yields
@@ -137,7 +142,7 @@ def relight(
     """
     if points not in ("pixel", "vertex"):
         raise InputError(f"points: expected pixel or vertex, got {points!r}")
-    if not isinstance(samples, int) or not 1 <= samples <= 64:
+    if samples is not None and (not isinstance(samples, int) or not 1 <= samples <= 64):
         raise InputError(f"samples: expected 1 to 64 points along a pixel's side, got {samples}")
     if isinstance(lights, Environment | str | os.PathLike | np.ndarray) or not len(lights):
         raise InputError("lights: expected a list of one or more")
@@ -153,12 +158,35 @@ def relight(
             materials, mesh, alone=points == "vertex" or bake is not None,
             baked=None if bake is None else bake.rays, **settings,
         )  # fmt: skip
-        engine = Simple(
-            mesh, looks, device or Device(), points=points, samples=samples, two_sided=two_sided,
-            bits=None if bake is None else bake.bits,
+        engine = engine_of(
+            factorization, mesh, looks, device or Device(), points=points, samples=samples, two_sided=two_sided,
+            bits=None if bake is None else bake.bits, hard=str(settings.get("hard") or "auto"),
         )  # fmt: skip
     sources = Sources(lights, up, repair, note)
     return _frames(engine, sources, seen, list(map(float, rotations)), list(materials), wanted)
+
+
+def engine_of(
+    factorization: str, mesh: Mesh, looks: Looks, device: Device, *, points: str, samples: int | None,
+    two_sided: bool, bits: npt.NDArray[np.uint32] | None, hard: str,
+) -> Engine:  # fmt: skip
+    """The engine of a factorization.
+
+    Raises
+    ------
+    InputError
+        If there is no such one, or it does not take what is asked of it.
+    """
+    if factorization not in FACTORIZATIONS:
+        raise InputError(f"factorization: expected one of {', '.join(FACTORIZATIONS)}, got {factorization!r}")
+    if factorization == "light":
+        return Simple(
+            mesh, looks, device, points=points, samples=SAMPLES if samples is None else samples,
+            two_sided=two_sided, bits=bits,
+        )  # fmt: skip
+    if points == "vertex" or bits is not None:
+        raise InputError("factorization: view has pixels, no vertices; choose light")
+    return ViewEngine(mesh, looks, device, samples=samples, two_sided=two_sided, hard=hard)
 
 
 def named_views(given: Sequence[View | Camera]) -> list[View]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import json
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
@@ -14,14 +15,20 @@ from prtcl.apps.relight import folder, inputs, names
 from prtcl.compute.device import Device
 from prtcl.errors import InputError
 from prtcl.factors.material import Material
+from prtcl.factors.visibility import Tracer
 from prtcl.scene.bake import Bake, is_bake
 from prtcl.scene.camera import Camera, Triple
 from prtcl.scene.camera_path import View, read_views, turntable
-from prtcl.scene.frames import SAMPLES, jobs
+from prtcl.scene.frames import FACTORIZATIONS, SAMPLES, jobs
+from prtcl.scene.frames_engine import with_rotation
+from prtcl.scene.frames_looks import Looks
+from prtcl.scene.frames_view import serves
 from prtcl.scene.mesh import Mesh, read_mesh
 from prtcl.scene.plan import check_error
 from prtcl.scene.plan_frames import plan_frames
 from prtcl.scene.scene import Scene, read_environment
+from prtcl.scene.view_points import SIDE, ViewPoints
+from prtcl.transport.engine_choice import BATCH, choose_engine
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,6 +41,7 @@ class Batch:
     settings : fixed by hand, as `prtcl.scene.frames.relight` takes them
     manifest : of its folder; `inputs` in it is all that the images depend on
     notes : for people
+    why : the factorization is what it is
     """
 
     source: Mesh | Bake
@@ -43,9 +51,11 @@ class Batch:
     views: list[View]
     points: str
     samples: int
+    factorization: str
     settings: dict[str, Any]
     manifest: dict[str, Any]
     notes: list[str]
+    why: str
 
 
 def read(options: argparse.Namespace, device: Device) -> Batch:
@@ -72,7 +82,7 @@ def read(options: argparse.Namespace, device: Device) -> Batch:
         "levels": options.levels, "rays": options.rays, "keep": options.keep, "views": options.views,
         "method": options.method, "hard": options.hard_light, "visibility": options.visibility,
     }  # fmt: skip
-    samples = SAMPLES if options.samples is None else options.samples
+    samples = options.samples
     if options.error is not None:
         light, _ = read_environment(lights[0], rotate=rotations[0], up=options.env_up, repair=options.repair)
         scenes = [
@@ -89,12 +99,20 @@ def read(options: argparse.Namespace, device: Device) -> Batch:
             f"{100 * plan.predicted:.2g} %",
         ]
     points = "vertex" if isinstance(source, Bake) else options.points or "pixel"
+    factorization, why = options.factorization, "asked for"
     light_names = names.unique(names.plain(path.stem) for path in lights)
     light_digests = [inputs.file_digest(path) for path in lights]
     specs = [(m.spec if m is not None else "own") for m in materials]
     material_names = names.unique(map(names.material_name, specs))
     view_names = names.unique(names.plain(view.name) for view in views)
     turns = names.rotation_names(rotations)
+    plain = {"points": points, "samples": samples, "settings": settings}
+    if factorization == "auto":
+        factorization, why = chosen_before(Path(options.output), plain) or choose(
+            options, device, mesh, lights, rotations, materials, views, plain
+        )
+    if samples is None:
+        samples = SAMPLES if factorization == "light" else SIDE
     made_of = inputs.as_json({
         "version": __version__,
         "mesh": inputs.mesh_digest(mesh, bits),
@@ -102,7 +120,8 @@ def read(options: argparse.Namespace, device: Device) -> Batch:
         "rotations": rotations,
         "materials": [(spec, inputs.material_digest(m)) for spec, m in zip(specs, materials, strict=True)],
         "cameras": [(name, vars(view.camera)) for name, view in zip(view_names, views, strict=True)],
-        "points": points, "samples": samples, "env-up": options.env_up, "repair": options.repair,
+        "points": points, "factorization": factorization, "samples": samples, "env-up": options.env_up,
+        "repair": options.repair,
         "one-sided": options.one_sided, "png": options.png, "exposure": options.exposure if options.png else None,
         **settings, "precision": options.precision,
         "device": f"{device.name}, driver {device.driver}",
@@ -121,6 +140,7 @@ def read(options: argparse.Namespace, device: Device) -> Batch:
         "about": "images are linear RGBA, float32, colour premultiplied by alpha; rotation in degrees about the up "
         "axis, counter-clockwise from above; fov horizontal, in degrees; finished.jsonl lists what is done",
         "inputs": made_of,
+        "factorization": {"chosen": factorization, "asked": plain},
         "environments": [
             {"name": name, "file": str(path), "sha256": digest}
             for name, path, digest in zip(light_names, lights, light_digests, strict=True)
@@ -141,9 +161,53 @@ def read(options: argparse.Namespace, device: Device) -> Batch:
     })  # fmt: skip
     refuse_inputs(Path(options.output), manifest, [*lights, Path(options.mesh)])
     return Batch(
-        source, lights, rotations, materials, views, points, samples, settings, manifest,
-        [*mesh.notes, *notes],
+        source, lights, rotations, materials, views, points, samples, factorization, settings, manifest,
+        [*mesh.notes, *notes], why,
     )  # fmt: skip
+
+
+MANY = 10
+"""Lights from which it is worth trying both factorizations."""
+
+
+def chosen_before(output: Path, asked: dict[str, Any]) -> tuple[str, str] | None:
+    """What a run of this job that was interrupted chose: both cost about the same there, and time is no input."""
+    try:
+        told = json.loads((output / folder.MANIFEST).read_bytes())["factorization"]
+        if told["asked"] == inputs.as_json(asked) and told["chosen"] in FACTORIZATIONS:
+            return told["chosen"], "as the run before"
+    except (OSError, ValueError, KeyError, TypeError):
+        pass
+    return None
+
+
+def choose(
+    options: argparse.Namespace, device: Device, mesh: Mesh, lights: list[Path], rotations: list[float],
+    materials: list[Material | None], views: list[View], asked: dict[str, Any],
+) -> tuple[str, str]:  # fmt: skip
+    """The factorization of a batch, and why: tried on pixels of its first view where there are many lights."""
+    count = len(lights) * len(rotations)
+    if asked["points"] == "vertex":
+        return "light", "vertices are shaded so"
+    if options.error is not None:
+        return "light", "an --error is planned for it"
+    if count < MANY:
+        return "light", f"{count} lights are too few for a transport of their own"
+    looks = Looks(materials, mesh)
+    if not serves(looks):
+        return "light", "a material has the mesh's own colour"
+    first, _ = read_environment(lights[0], up=options.env_up, repair=options.repair)
+    turned = [with_rotation(first, degrees) for degrees in rotations[:BATCH]]
+    # Of all lights only the number counts; the first stands for the others.
+    environments = [turned[number % len(turned)] for number in range(count)]
+    tracer = Tracer(mesh.vertices, mesh.faces)
+    points = ViewPoints.of(
+        mesh, tracer, views[0].camera, SIDE if asked["samples"] is None else asked["samples"],
+        two_sided=not options.one_sided,
+    )  # fmt: skip
+    worn = [[looks.materials[i] for i in own] for own in looks.full]
+    choice = choose_engine(device, tracer, points.points, points.pixel, environments, worn)
+    return choice.engine, choice.reason
 
 
 def check(options: argparse.Namespace) -> None:

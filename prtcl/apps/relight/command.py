@@ -28,6 +28,8 @@ def run(options: argparse.Namespace) -> int:
     job = batch.read(options, device)
     for note in job.notes:
         _note(note)
+    if options.explain:
+        _note(f"factorization {job.factorization}: {job.why}")
     tell: Tell = _event if options.json else _silent
     with opened(options.output, job.manifest, options.overwrite) as folder:
         report = make(job, folder, device, options, tell)
@@ -77,7 +79,8 @@ def make(
                 notify(0, waiting)
             frames = relight(
                 job.source, job.lights, job.materials, job.views, rotations=job.rotations, points=job.points,
-                samples=job.samples, up=options.env_up, repair=options.repair, device=device,
+                samples=job.samples, factorization=job.factorization, up=options.env_up, repair=options.repair,
+                device=device,
                 two_sided=not options.one_sided, wanted=lambda own: own.index not in finished, note=_note,
                 **job.settings,
             )  # fmt: skip

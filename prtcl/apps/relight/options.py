@@ -53,8 +53,15 @@ def register(
     command.add_argument("--repair", action="store_true", help="replace NaN, infinite and negative radiance")
     _views(command, size)
     command.add_argument(
-        "--samples", type=int, metavar="N", help="N x N sub-pixel points, traced once (default: 3)"
-    )
+        "--samples", type=int, metavar="N",
+        help="N x N sub-pixel points, traced once (default: 3, or 8 where views are factored)",
+    )  # fmt: skip
+    command.add_argument(
+        "--factorization", choices=("auto", "light", "view"), default="auto",
+        help="collapse light and visibility for each light, or visibility and reflectance for each view, which many "
+        "lights then share (default: tries both where there are ten lights or more)",
+    )  # fmt: skip
+    command.add_argument("--explain", action="store_true", help="which factorization was chosen, and why")
     command.add_argument(
         "--error", type=float, metavar="E",
         help="relative RMSE to aim for: finds the rays and points that meet it in every material under the first light "

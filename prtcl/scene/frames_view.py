@@ -1,0 +1,94 @@
+"""The engine for many lights: V ⊕ f_v of each view's pixels, multiplied with blocks of lights at once."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from itertools import islice
+
+from prtcl.compute.device import Device
+from prtcl.errors import InputError
+from prtcl.factors.environment import Environment
+from prtcl.factors.visibility import Tracer
+from prtcl.scene.camera import Camera
+from prtcl.scene.frames_engine import RADIANCE, Image, Wanted
+from prtcl.scene.frames_looks import Looks
+from prtcl.scene.mesh import Mesh
+from prtcl.scene.points import check_eye
+from prtcl.scene.view_points import SIDE, ViewPoints
+from prtcl.transport.fixed_view import FixedView, rays_for
+
+TOGETHER = 128
+"""Lights of one product, at most: transport is made anew for each block."""
+
+
+class ViewEngine:
+    """Pixels of a view and their visibility are traced once; each block of lights costs their transport once.
+
+    Costs a block V ⊕ f_v at every pixel and material, and a light one row of a matrix product and its own hard rays: it
+    pays from some ten lights on (`prtcl.transport.engine_choice`).
+
+    Parameters
+    ----------
+    looks : what the mesh is seen in; none may be tinted by the mesh's own colours
+    samples : N × N sub-pixel points a pixel; None takes `SIDE`
+    two_sided : as for `Scene`
+    hard : as in `Settings`
+
+    Raises
+    ------
+    InputError
+        If a material has the mesh's colour.
+    """
+
+    def __init__(
+        self, mesh: Mesh, looks: Looks, device: Device, *, samples: int | None = None, two_sided: bool = True,
+        hard: str = "auto",
+    ) -> None:  # fmt: skip
+        if not serves(looks):
+            raise InputError("factorization: view does not take colours of the mesh; choose light")
+        self.mesh, self.looks, self._device = mesh, looks, device
+        self.side, self.two_sided, self.hard = SIDE if samples is None else samples, two_sided, hard
+        with device.profile.host("build_bvh"):
+            self.tracer = Tracer(mesh.vertices, mesh.faces)
+        # Of all looks, whichever are wanted: an image does not depend on the others.
+        self._rays = rays_for(looks.materials)
+        self._worn = [[looks.materials[i] for i in own] for own in looks.full]
+        self._seen: tuple[ViewPoints, FixedView] | None = None
+
+    @property
+    def device(self) -> Device:
+        """Where kernels run."""
+        return self._device
+
+    def ahead(self, environment: Environment) -> None:
+        """Nothing: lights are taken apart block by block."""
+
+    def prepare(self, camera: Camera) -> None:
+        """Shoot the camera's rays, and trace what each pixel sees."""
+        self._seen = None
+        check_eye(self.tracer, self.mesh, camera)
+        with self.device.profile.host("camera_rays"):
+            points = ViewPoints.of(self.mesh, self.tracer, camera, self.side, two_sided=self.two_sided)
+        self._seen = points, FixedView(self.device, self.tracer, points.points, points.pixel, rays=self._rays)
+
+    def images(self, lights: Iterable[Wanted]) -> Iterator[Image]:
+        """As `Engine.images`; a block of lights at a time."""
+        assert self._seen is not None, "no view was prepared"
+        points, view = self._seen
+        waiting = iter(lights)
+        each = max(1, 12 * len(view) * len(self._worn))
+        while block := list(islice(waiting, max(1, min(TOGETHER, RADIANCE // each)))):
+            looks = sorted({look for _, wanted in block for look in wanted})
+            radiance = view.radiance(
+                [environment for environment, _ in block],
+                [self._worn[look] for look in looks],
+                hard=self.hard,
+            )
+            for number, (_, wanted) in enumerate(block):
+                for look in wanted:
+                    yield points.image(radiance[looks.index(look), number])
+
+
+def serves(looks: Looks) -> bool:
+    """Whether the engine can make some looks."""
+    return not any(own.any() for own in looks.tinted)
