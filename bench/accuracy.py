@@ -29,7 +29,7 @@ import numpy as np
 import scenes
 from exact import Exact
 
-from prtcl.apps.cli import size
+from prtcl.apps.arguments import size
 from prtcl.compute.device import Device
 from prtcl.factors.material import Material
 from prtcl.files.merl import write_merl

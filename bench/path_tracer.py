@@ -16,7 +16,7 @@ from pathlib import Path
 import scenes
 from rival import Rival
 
-from prtcl.apps.cli import size
+from prtcl.apps.arguments import size
 from prtcl.compute.device import Device
 from prtcl.scene.camera import Camera
 from prtcl.scene.scene import Scene

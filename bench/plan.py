@@ -1,6 +1,6 @@
 """`--error`: what is asked, predicted and true, and how long it takes beside the best fixed setting.
 
-    DRJIT_LIBLLVM_PATH=/path/to/libLLVM-19.so python bench/plan.py [-o bench/results/plan.json] [--size 160x136]
+    DRJIT_LIBLLVM_PATH=/path/to/libLLVM-19.so python bench/plan.py [-o bench/results/plan.json] [--size 192x160]
 
 Scenes are those of ../shared/data (`bench/scenes.py`); the first half was looked at while the planner was made, the
 second was not. Truth is Mitsuba 3's, in two halves of `--spp` samples each: the mean product of an image's differences
@@ -20,7 +20,7 @@ import numpy as np
 import scenes
 from rival import Rival
 
-from prtcl.apps.cli import size
+from prtcl.apps.arguments import size
 from prtcl.compute.device import Device
 from prtcl.errors import InputError
 from prtcl.scene.camera import Camera
@@ -40,7 +40,7 @@ UNSEEN = (
     ("koala", "studio_small_03", "ggx:alpha=0.2,eta=0.2,k=3.0"),
 )
 ERRORS = (0.05, 0.02, 0.01)
-RAYS = (2, 3, 4, 5)
+RAYS = (2, 3, 4)
 AIMS = (0.014, 0.02, 0.028, 0.04, 0.056, 0.08)
 SAMPLES = (1, 2, 4)
 
@@ -64,7 +64,7 @@ class Truth:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("-o", "--output", type=Path)
-    parser.add_argument("--size", type=size, default=(160, 136))
+    parser.add_argument("--size", type=size, default=(192, 160))
     parser.add_argument("--spp", type=int, default=4096)
     parser.add_argument("--errors", type=float, nargs="+", default=ERRORS)
     parser.add_argument("--only", type=int, nargs="+", help="numbers of scenes, from 0")

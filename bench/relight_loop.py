@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 import scenes
 
-from prtcl.apps.cli import size
+from prtcl.apps.arguments import size
 from prtcl.compute.device import Device
 from prtcl.scene.camera import Camera
 from prtcl.scene.frames import relight

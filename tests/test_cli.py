@@ -21,7 +21,8 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from prtcl._version import __version__
-from prtcl.apps.cli import deferred_interrupts, main
+from prtcl.apps.cli import main
+from prtcl.apps.interrupts import deferred_interrupts
 from prtcl.compute import choice
 from prtcl.errors import DeviceError, InputError
 from prtcl.files.image import read_image, write_exr
