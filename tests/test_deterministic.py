@@ -20,7 +20,7 @@ from prtcl.scene.scene import Scene
 from prtcl.scene.session import Session
 
 ROOT = Path(__file__).resolve().parents[1]
-VIEW = Camera((3.1, 2.5, 5.4), (-0.1, 0.75, -0.3), fov=38.0, size=(32, 24))
+VIEW = Camera((3.1, 2.5, 5.4), (-0.1, 0.75, -0.3), fov=38.0, size=(20, 15))
 SPEC = "ggx:alpha=0.3,f0=0.5/0.6/0.3,kd=0.3"
 
 
@@ -35,7 +35,7 @@ def test_two_processes_write_the_same_file(
     files = []
     for name, seed in (("a", "1"), ("b", "2")):
         command = [
-            sys.executable, "-m", "prtcl", "render", "mesh.ply", "--env", "sky.exr", "--brdf", SPEC, "--size", "32x24",
+            sys.executable, "-m", "prtcl", "render", "mesh.ply", "--env", "sky.exr", "--brdf", SPEC, "--size", "24x18",
             "--device", opencl_device.spec, "--quiet", "--error-channel", "-o", f"{name}.exr",
         ]  # fmt: skip
         environment = {**os.environ, "PYTHONHASHSEED": seed, "PYTHONPATH": str(ROOT)}

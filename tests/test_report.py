@@ -24,6 +24,7 @@ from prtcl.files.image import write_exr
 from prtcl.scene.camera import Camera
 from prtcl.scene.mesh import Mesh
 from prtcl.scene.scene import Scene
+from prtcl.transport.settings import Settings
 
 
 class Ran(NamedTuple):
@@ -96,7 +97,10 @@ def test_the_frontier_is_what_no_other_beats() -> None:
 
 
 @pytest.mark.usefixtures("small")
-def test_files_are_whole_and_stand_alone(run: Run, tmp_path: Path) -> None:
+def test_files_are_whole_and_stand_alone(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(measure, "SHIFTS", (-1, 0))
+    monkeypatch.setattr(measure, "FINER", (0,))
+    monkeypatch.setattr(measure, "FINEST", Settings(levels=5, rays=4, keep=5, views=64))
     ran = run("--brdf", "lambert:albedo=0.5", "ggx:alpha=0.3,f0=0.9", "--error", "0.05")
     assert ran.status == 0, ran.err
     assert len(ran.out.splitlines()) == 3 and "asked 5 %" in ran.out

@@ -27,6 +27,8 @@ POINTS, DIRECTIONS = 512, 64
 """Of the reference: points of a pixel and directions of each point, twice."""
 SAMPLES = (1, 2, 4, 8)
 """N × N points of a pixel that settings are tried with."""
+SHIFTS, FINER = (-3, -2, -1, 0, 1), (-1, 0, 1)
+"""Levels of rays and of directions beside the usual ones that are tried."""
 FINEST = Settings(levels=7, rays=6, keep=7, views=512)
 """What each factor's own approximations are held against."""
 
@@ -62,8 +64,8 @@ def settings(sample: Sample) -> Iterator[Row]:
     """A row for every setting: numbers of rays, levels of directions, points a pixel."""
     scene = sample.scene
     base = [own for own, _ in scene.choose_settings(False)]
-    for shift in (-3, -2, -1, 0, 1):
-        for finer in (-1, 0, 1):
+    for shift in SHIFTS:
+        for finer in FINER:
             own = [_moved(one, shift, finer) for one in base]
             if any(one is None for one in own):
                 continue
