@@ -1,6 +1,6 @@
 """`--error`: what is asked, predicted and true, and how long it takes beside the best fixed setting.
 
-    DRJIT_LIBLLVM_PATH=/path/to/libLLVM-19.so python bench/plan.py [-o bench/results/plan.json] [--size 192x160]
+    DRJIT_LIBLLVM_PATH=/path/to/libLLVM-19.so python bench/plan.py [-o bench/results/plan.json] [--size 320x272]
 
 Scenes are those of ../shared/data (`bench/scenes.py`); the first half was looked at while the planner was made, the
 second was not. Truth is Mitsuba 3's, in two halves of `--spp` samples each: the mean product of an image's differences
@@ -40,8 +40,8 @@ UNSEEN = (
     ("koala", "studio_small_03", "ggx:alpha=0.2,eta=0.2,k=3.0"),
 )
 ERRORS = (0.05, 0.02, 0.01)
-RAYS = (2, 3, 4)
-AIMS = (0.014, 0.02, 0.028, 0.04, 0.056, 0.08)
+RAYS = (3, 4, 2)
+AIMS = (0.08, 0.056, 0.04, 0.028, 0.02, 0.014)
 SAMPLES = (1, 2, 4)
 
 
@@ -64,7 +64,7 @@ class Truth:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("-o", "--output", type=Path)
-    parser.add_argument("--size", type=size, default=(192, 160))
+    parser.add_argument("--size", type=size, default=(320, 272))
     parser.add_argument("--spp", type=int, default=4096)
     parser.add_argument("--errors", type=float, nargs="+", default=ERRORS)
     parser.add_argument("--only", type=int, nargs="+", help="numbers of scenes, from 0")
@@ -100,16 +100,7 @@ def one_scene(device: Device, mesh: str, environment: str, spec: str, options: a
 
     truth = Truth(made(), options.spp)
     made().render(samples=1)  # kernels built, light split
-    fixed = []
-    if not options.no_fixed:
-        for rays in RAYS:
-            for samples in SAMPLES:
-                fixed.append(
-                    timed(made(rays=rays), truth, {"rays": rays, "samples": samples}, samples=samples)
-                )
-            for aim in AIMS:
-                found = timed(made(rays=rays, pixel_error=aim), truth, {"rays": rays, "pixel_error": aim})
-                fixed.append(found)
+    fixed = [] if options.no_fixed else list(frontier(made, truth, min(options.errors)))
     rows = []
     for error in options.errors:
         scene = made()
@@ -136,6 +127,24 @@ def one_scene(device: Device, mesh: str, environment: str, spec: str, options: a
             }
         )  # fmt: skip
     return rows, fixed
+
+
+def frontier(made, truth: Truth, least: float):  # type: ignore[no-untyped-def]
+    """Fixed settings from coarse to fine, until nothing finer can be the best for any error asked."""
+    best = np.inf
+    for rays in RAYS:
+        for samples in SAMPLES:
+            found = timed(made(rays=rays), truth, {"rays": rays, "samples": samples}, samples=samples)
+            yield found
+            best = min(best, found["seconds"] if found["error"] <= least else np.inf)
+            if found["error"] <= least or found["seconds"] > best:
+                break
+        for aim in AIMS:
+            found = timed(made(rays=rays, pixel_error=aim), truth, {"rays": rays, "pixel_error": aim})
+            yield found
+            best = min(best, found["seconds"] if found["error"] <= least else np.inf)
+            if found["error"] <= least or found["seconds"] > best:
+                break
 
 
 def timed(scene: Scene, truth: Truth, told: dict, samples: int | None = None) -> dict:  # type: ignore[type-arg]
