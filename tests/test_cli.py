@@ -297,7 +297,7 @@ def no_scene(monkeypatch: pytest.MonkeyPatch) -> None:
     def made(*_: Any, **__: Any) -> None:
         raise AssertionError("work was done before the output was checked")
 
-    for name in ("render.Scene", "render.read_environment", "render.Device", "bake.read_mesh"):
+    for name in ("scene_options.Scene", "scene_options.read_environment", "render.Device", "bake.read_mesh"):
         monkeypatch.setattr(f"prtcl.apps.{name}", made)
 
 

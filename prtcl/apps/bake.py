@@ -8,15 +8,22 @@ import sys
 import time
 
 from prtcl.apps.progress import bar
+from prtcl.files.array_store import SUMS, import_zarr
 from prtcl.files.atomic import check_not_input, check_writable
+from prtcl.files.folder import check_folder_writable
 from prtcl.scene.bake import Bake
+from prtcl.scene.bake_store import is_store
 from prtcl.scene.mesh import read_mesh
 from prtcl.scene.shaders import Counter
 
 
 def run(options: argparse.Namespace) -> int:
     """Trace and save."""
-    check_writable(options.output)
+    if is_store(options.output):
+        import_zarr()
+        check_folder_writable(options.output, SUMS)
+    else:
+        check_writable(options.output)
     check_not_input(options.output, options.mesh)
     start = time.perf_counter()
     mesh = read_mesh(options.mesh)

@@ -1,4 +1,4 @@
-"""The command line: `prtcl demo | render | relight | bake | fit | view | brdf | bench | report | stress | devices`.
+"""The command line: `prtcl demo | render | relight | bake | info | occlusion | fit | view | brdf | bench | report | …`.
 
 Exit status: 0 done, 1 the job failed, 2 the input or the command line was wrong. An error is one or two lines that
 name the file or the option and say what to do.

@@ -43,7 +43,8 @@ def relight(options: argparse.Namespace) -> int:
 
 def bake(options: argparse.Namespace) -> int:
     """`prtcl bake`."""
-    _require_ending(options.output, ".npz", ", by which `prtcl render` knows a bake")
+    if not options.output.rstrip("/").lower().endswith(".zarr"):
+        _require_ending(options.output, ".npz", " or .zarr, by which `prtcl render` knows a bake")
     return _run("bake", _LATER)(options)
 
 

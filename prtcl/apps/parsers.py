@@ -7,7 +7,7 @@ import re
 from typing import Any, NoReturn
 
 from prtcl._version import __version__
-from prtcl.apps import commands
+from prtcl.apps import commands, info, occlusion
 from prtcl.apps.arguments import (
     add_common,
     add_device,
@@ -53,7 +53,7 @@ def parser() -> Parser:
     demo.set_defaults(run=commands.demo)
 
     render = every.add_parser("render", help="an image of a mesh under an environment")
-    render.add_argument("mesh", metavar="MESH|BAKE", help="OBJ, PLY, STL, GLB, glTF, or a bake (.npz)")
+    render.add_argument("mesh", metavar="MESH|BAKE", help="OBJ, PLY, STL, GLB, glTF, or a bake (.npz, .zarr)")
     render.add_argument("--env", required=True, metavar="ENV", help="equirectangular EXR or HDR map")
     render.add_argument("-o", "--output", required=True, metavar="OUT.exr")
     render.add_argument(
@@ -75,7 +75,7 @@ def parser() -> Parser:
 
     bake = every.add_parser("bake", help="trace the visibility of a mesh's vertices once, for reuse")
     bake.add_argument("mesh", metavar="MESH")
-    bake.add_argument("-o", "--output", required=True, metavar="BAKE.npz")
+    bake.add_argument("-o", "--output", required=True, metavar="BAKE.npz|BAKE.zarr")
     bake.add_argument(
         "--rays", type=int, default=5, metavar="R", help="4^R rays a vertex (default: %(default)s)"
     )
@@ -83,6 +83,8 @@ def parser() -> Parser:
     add_common(bake)
     bake.set_defaults(run=commands.bake)
 
+    info.add_parser(every)
+    occlusion.add_parser(every)
     _fit(every)
     _view(every)
     _brdf(every)
@@ -134,7 +136,7 @@ def _view(every: Any) -> None:
     from prtcl.factors.material import FORMS
 
     view = every.add_parser("view", help="edit materials and light in the browser")
-    view.add_argument("mesh", metavar="MESH|BAKE", help="OBJ, PLY, STL, GLB, glTF, or a bake (.npz)")
+    view.add_argument("mesh", metavar="MESH|BAKE", help="OBJ, PLY, STL, GLB, glTF, or a bake (.npz, .zarr)")
     view.add_argument(
         "--env", required=True, nargs="+", action="extend", metavar="ENV",
         help="equirectangular EXR or HDR maps, or folders of them: what the page may choose from",

@@ -32,7 +32,9 @@ def register(
         description="Images of a mesh under every environment, in every material, from every view. Interrupted, "
         "the same command makes what is missing.",
     )
-    command.add_argument("mesh", metavar="MESH|BAKE", help="OBJ, PLY, STL, GLB, glTF, or a bake (.npz)")
+    command.add_argument(
+        "mesh", metavar="MESH|BAKE", help="OBJ, PLY, STL, GLB, glTF, or a bake (.npz, .zarr)"
+    )
     command.add_argument(
         "--env", required=True, nargs="+", action="extend", metavar="ENV",
         help="equirectangular EXR or HDR maps, folders of them, or globs",
