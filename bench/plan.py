@@ -83,7 +83,8 @@ def main() -> None:
         frontier.append({"mesh": mesh, "environment": environment, "material": spec, "fixed": points})
     scenes.save(
         options.output, device=device.name, size=options.size, rows=rows, scenes=frontier,
-        command=f"python bench/plan.py --size {options.size[0]}x{options.size[1]} --spp {options.spp}",
+        command=f"python bench/plan.py --size {options.size[0]}x{options.size[1]} --spp {options.spp}"
+        + (" --no-fixed" if options.no_fixed else ""),
     )  # fmt: skip
 
 

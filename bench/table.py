@@ -151,7 +151,7 @@ def plan(data: Data) -> None:
             print(f"| {where} | {100 * row['asked']:.0f} % | refused | | | | |")
             continue
         best, points = row["best_fixed"], " + ".join(f"{n:.0f}" for n in row["points_per_pixel"])
-        beside = "none meets it"
+        beside = "none meets it" if any(own["fixed"] for own in data["scenes"]) else "not measured"
         if best is not None:
             how = (
                 f"{best['samples']} × {best['samples']} points"
