@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import argparse
 import statistics
+import sys
 import time
 from functools import partial
 from pathlib import Path
@@ -80,9 +81,8 @@ def measured(make, points: str, leave_out: str) -> tuple[dict, np.ndarray]:  # t
     return row, render.image
 
 
-def rows(make, points: str, runs: int) -> list[dict]:  # type: ignore[no-untyped-def, type-arg]
+def rows(make, points: str, runs: int, names: list[str]) -> list[dict]:  # type: ignore[no-untyped-def, type-arg]
     """All, all but each, and nothing left out, taking turns."""
-    names = ["all", *(f"no-{name}" for name in WHAT), "none"]
     found: dict[str, list[dict]] = {name: [] for name in names}  # type: ignore[type-arg]
     measured(make, points, "all")  # kernels built
     measured(make, points, "none")
@@ -110,6 +110,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("-o", "--output", type=Path)
     parser.add_argument("--runs", type=int, default=5)
+    parser.add_argument("--names", nargs="+", default=["all", *(f"no-{name}" for name in WHAT), "none"])
+    parser.add_argument("--cases", type=int, nargs="+", help="numbers of scenes, from 0")
     options = parser.parse_args()
     mesh = still_life()
     camera = Camera((1.2, 1.5, 2.6), (0.0, 0.35, 0.0), size=SIZE)
@@ -125,8 +127,8 @@ def main() -> None:
             ("nefertiti, modern_buildings_2, GGX 0.3", partial(Scene, real, light, spec, framed), "vertex")
         )
     result = []
-    for name, make, points in cases:
-        own = rows(make, points, options.runs)
+    for name, make, points in [cases[number] for number in options.cases or range(len(cases))]:
+        own = rows(make, points, options.runs, options.names)
         best = own[0]
         print(f"{name}, {points} points")
         for row in own:
@@ -144,7 +146,7 @@ def main() -> None:
         device=Device().name,
         size=SIZE,
         cases=result,
-        command=f"python bench/leave_out.py --runs {options.runs}",
+        command=" ".join(["python bench/leave_out.py", *sys.argv[1:]]),
     )
 
 
