@@ -252,6 +252,11 @@ class Tracer:
         return bits
 
 
+def sees_all(bits: npt.NDArray[np.uint32], levels: int) -> npt.NDArray[np.bool_]:
+    """(n,) whether every one of a point's 4**levels rays reaches the light: bits (n, words)."""
+    return np.asarray((bits == np.uint32(0xFFFFFFFF >> max(0, 32 - quadtree.n_samples(levels)))).all(axis=1))
+
+
 def _reach(
     local: npt.NDArray[np.float32], faces: npt.NDArray[np.int32], least: float
 ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:

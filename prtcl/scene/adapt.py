@@ -34,13 +34,12 @@ class Exposure:
         """The first points of all pixels."""
         self._expose(layer, np.arange(len(layer.film.pixels)), 0, points)
 
-    def refine(self, layers: list[Layer], error: float, mean: float | None = None) -> None:
+    def refine(self, layers: list[Layer], error: float) -> None:
         """Four times the points, again and again, where the estimated error is largest.
 
         Parameters
         ----------
         error : relative RMSE over the covered pixels, as estimated, that may be left
-        mean : what it is relative to; None takes the layers' own, over the covered pixels
         """
         for reached in (4**k for k in range(1, 8)):
             active = [layer for layer in layers if reached < layer.most]
@@ -48,9 +47,8 @@ class Exposure:
                 return
             # The whole image's mean and the number of its pixels turn a relative error into a sum of squares.
             seen = covered(layers)
-            own = np.sum([layer.film.mean().mean(axis=1) for layer in layers], axis=0)
-            level = mean if mean is not None else own[seen].mean() if seen.any() else 0.0
-            allowed = (error * level) ** 2 * seen.sum()
+            mean = np.sum([layer.film.mean().mean(axis=1) for layer in layers], axis=0)
+            allowed = (error * mean[seen].mean()) ** 2 * seen.sum() if seen.any() else 0.0
             for layer in active:
                 pixels = layer.film.worst(allowed * layer.share)
                 # A pixel that waited a round or more catches up round by round.

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
+from prtcl.compute.device import Device
 from prtcl.scene.adapt import MOST_HARD, Exposure
 from prtcl.scene.film import FIRST, Film
 from prtcl.scene.points import Hits, pixel_points, shoot
@@ -83,15 +84,13 @@ class Pilot:
 
     def __init__(self, scene: Scene, pixels: int = PIXELS) -> None:
         self.scene, self._rng = scene, np.random.default_rng(0)
-        rng, count = self._rng, scene.camera.size[0] * scene.camera.size[1]
-        looked = (
-            np.arange(count) if count <= SEARCHED else np.sort(rng.choice(count, SEARCHED, replace=False))
-        )
+        rng, looked = self._rng, searched(scene, self._rng)
         hits = shoot(
             scene.tracer, scene.camera, np.repeat(looked, FIRST), np.tile(np.arange(FIRST), len(looked))
         )
         found = looked[np.unique(hits.ray // FIRST)]
-        self.covered = len(found) / len(looked) * count
+        width, height = scene.camera.size
+        self.covered = len(found) / len(looked) * width * height
         self.pixels = np.sort(rng.choice(found, min(pixels, len(found)), replace=False))
         # Of each pixel others: neighbours in the sequence avoid each other, and the products of their errors would
         # come out negative.
@@ -195,6 +194,12 @@ class Pilot:
         return Noise(squared((apart**2).mean(axis=1) / 2.0), seconds, halves)
 
 
+def searched(scene: Scene, rng: np.random.Generator) -> npt.NDArray[np.int64]:
+    """Pixels in which the mesh is looked for: all, or `SEARCHED` of them, ascending."""
+    count = scene.camera.size[0] * scene.camera.size[1]
+    return np.arange(count) if count <= SEARCHED else np.sort(rng.choice(count, SEARCHED, replace=False))
+
+
 def squared(each: Array) -> Squared:
     """The mean over pixels of what each estimates, and its standard error."""
     if len(each) < 2:
@@ -207,9 +212,9 @@ def told(known: Squared) -> float:
     return known.value if known.value > 2.0 * known.uncertain else 0.0
 
 
-def pipelines(scene: Scene, settings: list[Settings]) -> Pipelines:
-    """As a render's, on the first of the scene's devices."""
+def pipelines(scene: Scene, settings: list[Settings], device: Device | None = None) -> Pipelines:
+    """As a render's; without a device on the first of the scene's."""
     return Pipelines(
-        scene.device, scene.environment, scene.tints.materials,
+        device or scene.device, scene.environment, scene.tints.materials,
         [settings[parent] for parent in scene.tints.parent], polar=scene.bake is None,
     )  # fmt: skip

@@ -88,8 +88,8 @@ class Plan:
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write JSON, aside and then renamed."""
         with replacing(path) as aside:
-            data = {"format": FORMAT, "prtcl": __version__, **asdict(self)}
-            text = json.dumps(data, indent=1, default=sorted)  # of sets: what is left out
+            own = {**asdict(self), "settings": [settings.plain() for settings in self.settings]}
+            text = json.dumps({"format": FORMAT, "prtcl": __version__, **own}, indent=1)
             aside.write_text(text + "\n", encoding="utf-8")
 
     @classmethod

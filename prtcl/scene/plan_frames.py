@@ -12,9 +12,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from prtcl.errors import InputError
-from prtcl.scene.pilot import NOISY, Pilot, pipelines, told
+from prtcl.scene.pilot import NOISY, Pilot, pipelines
 from prtcl.scene.plan import check_error
-from prtcl.scene.planner import AIM, LEAST_RAYS, RATE, STAYS, root, shifted
+from prtcl.scene.planner import AIM, LEAST_RAYS, RATE, STAYS, root, shifted, stays
 from prtcl.scene.scene import Scene
 
 COST = {2: 7.0, 3: 13.0, 4: 26.0, 5: 45.0, 6: 120.0, 7: 400.0}
@@ -74,17 +74,17 @@ def _one(scene: Scene, error: float) -> FramesPlan:
         own = [shifted(one, shift, False) for one in base]
         soft = pilot.noise(pipelines(scene, own).soft) if shift else usual
         off = pilot.bias_beside(soft, usual)
-        stays = told(known) + max(off.value, 0.0) + off.uncertain
-        least = min(least, stays)
-        if stays > (STAYS if shift < 0 else 1.0) * allowed:
+        left = stays(known, off)
+        least = min(least, left)
+        if left > (STAYS if shift < 0 else 1.0) * allowed:
             continue
         # Points are not given where they are needed, so all of a pixel's error is that of the mean of N × N.
-        points = NOISY * ((soft.squared.value + hard) / max(allowed - stays, 1e-300)) ** RATE
+        points = NOISY * ((soft.squared.value + hard) / max(allowed - left, 1e-300)) ** RATE
         side = max(1, math.ceil(math.sqrt(points)))
         cost = COST[max(one.rays for one in own)] * side**2
         if side <= MOST and cost < best:
             noise = (soft.squared.value + hard) * (NOISY / side**2) ** (1.0 / RATE)
-            best, chosen = cost, FramesPlan(error, max(one.rays for one in own), side, root(stays + noise))
+            best, chosen = cost, FramesPlan(error, max(one.rays for one in own), side, root(left + noise))
     if chosen is None:
         raise InputError(
             f"error {error:g}: nothing that was tried meets it in {scene.materials[0].spec} with up to {MOST} x {MOST} "

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from prtcl import quadtree
 from prtcl.factors.visibility import Tracer
 from prtcl.scene.ladder import coarsest
-from prtcl.scene.pilot import SAMPLES, SEARCHED, pipelines
+from prtcl.scene.pilot import SAMPLES, pipelines, searched
 from prtcl.scene.plan import Plan
 from prtcl.scene.planner import AIM, finished, shifted
 from prtcl.scene.points import shoot, vertex_points, with_eye
@@ -77,8 +77,7 @@ def _candidates(base: list[Settings], fixed: set[str]) -> list[list[Settings]]:
 
 
 def _in_sight(scene: Scene, rng: np.random.Generator) -> npt.NDArray[np.int64]:
-    count = scene.camera.size[0] * scene.camera.size[1]
-    pixels = np.arange(count) if count <= SEARCHED else rng.choice(count, SEARCHED, replace=False)
+    pixels = searched(scene, rng)
     hits = shoot(scene.tracer, scene.camera, pixels, np.zeros(len(pixels), dtype=np.int64))
     return np.unique(scene.mesh.faces[hits.face])
 

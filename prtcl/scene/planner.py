@@ -75,9 +75,9 @@ def plan_pixels(scene: Scene, error: float, base: list[Settings], fixed: set[str
         own = [shifted(one, shift, "levels" in fixed) for one in base]
         soft = pilot.noise(pipelines(scene, own).soft) if shift else soft_base
         off = pilot.bias_beside(soft, soft_base)
-        stays = told(known) + max(off.value, 0.0) + off.uncertain
-        share, begin, seconds = _expected(pilot.covered, soft, hard, allowed - stays)
-        if shift < 0 and stays > STAYS * allowed:
+        left = stays(known, off)
+        share, begin, seconds = _expected(pilot.covered, soft, hard, allowed - left)
+        if shift < 0 and left > STAYS * allowed:
             seconds = math.inf
         own = [replace(one, hard_error=share, hard_points=begin) for one in own]
         tried.append(_Tried(own, off, soft.squared.value, seconds))
@@ -88,10 +88,7 @@ def plan_pixels(scene: Scene, error: float, base: list[Settings], fixed: set[str
         pilot.sharpen()
         known = pilot.bias(radiance)
     best = min(tried, key=lambda one: one.seconds)
-    bias = Squared(
-        told(known) + max(best.off.value, 0.0) + best.off.uncertain,
-        math.hypot(known.uncertain, best.off.uncertain),
-    )
+    bias = Squared(stays(known, best.off), math.hypot(known.uncertain, best.off.uncertain))
     if not (best.seconds < math.inf and bias.value < allowed):
         raise InputError(
             f"error {error:g}: no setting that was tried meets it: about {root(bias.value):.2g} stays however many "
@@ -133,6 +130,11 @@ def _shifts(base: list[Settings], fixed: set[str], error: float) -> list[int]:
     finest = max(one.rays for one in base)
     order = (-2, -3, -1, 0, 1) if error > 0.015 else (-2, -1, -3, 0, 1)
     return [shift for shift in order if finest + shift >= LEAST_RAYS]
+
+
+def stays(known: Squared, off: Squared) -> float:
+    """Squared bias of settings that stand `off` from others whose own is `known`, on the safe side."""
+    return told(known) + max(off.value, 0.0) + off.uncertain
 
 
 def shifted(one: Settings, shift: int, levels_fixed: bool) -> Settings:

@@ -60,10 +60,7 @@ def render_report(
             "faces": len(scene.mesh.faces),
         },
         "materials": [m.spec for m in scene.materials],
-        "settings": [
-            {**vars(own), "leave_out": sorted(own.leave_out), "why": reason}
-            for own, reason in dict(scene.settings).items()
-        ],
+        "settings": [{**own.plain(), "why": reason} for own, reason in dict(scene.settings).items()],
         "light": {
             "hard_samples": len(pipeline.light.hard),
             "hard_share": round(pipeline.light.hard_share, 4),

@@ -23,6 +23,7 @@ from prtcl.scene.bake import Bake, read_mesh_or_bake
 from prtcl.scene.camera import Camera
 from prtcl.scene.film import FIRST, Film
 from prtcl.scene.mesh import Mesh
+from prtcl.scene.pilot import pipelines
 from prtcl.scene.plan import Plan, check_error
 from prtcl.scene.plan_vertices import plan_vertices
 from prtcl.scene.planner import plan_pixels
@@ -31,11 +32,14 @@ from prtcl.scene.report import render_report
 from prtcl.scene.shaders import Counter, Layer, Notify, PixelShader, VertexShader
 from prtcl.scene.steer import expected_error, steer
 from prtcl.scene.tint import Tints, colour_notes
-from prtcl.transport.fine_levels import COST, needed
+from prtcl.transport.fine_levels import needed
 from prtcl.transport.leave_out import parse
 from prtcl.transport.pipeline import Pipelines, Points
 from prtcl.transport.settings import Settings, choose
 from prtcl.transport.several import Several
+
+FITTED = 0.1
+"""Of an error asked for, what levels that a material can do without may cost."""
 
 Path = str | os.PathLike[str]
 Report = dict[str, Any]
@@ -215,20 +219,15 @@ class Scene:
         vertex = points == "vertex" or self.bake is not None
         rays = self.tracer.rays
         if plan is None and error is not None:
-            plan = self.plan(error, points=points)
-        self.settings = self.choose_settings(vertex) if plan is None else self._planned(plan, vertex)
-        self.settings = self._without_fine_levels(self.settings, COST if plan is None else 0.1 * plan.asked)
-        pipelines = [
-            Pipelines(
-                device,
-                self.environment,
-                self.tints.materials,
-                [self.settings[parent][0] for parent in self.tints.parent],
-                polar=self.bake is None,
-            )
-            for device in self.devices
-        ]
-        pipeline: Pipelines | Several = pipelines[0] if len(pipelines) == 1 else Several(pipelines)
+            plan = self._plan(error, vertex)
+        # Settings that no error was asked of have no level that a material could do without.
+        self.settings, self.fitted = (
+            (self.choose_settings(vertex), {})
+            if plan is None
+            else self._without_fine_levels(self._planned(plan, vertex), FITTED * plan.asked)
+        )
+        each = [pipelines(self, [own for own, _ in self.settings], device) for device in self.devices]
+        pipeline: Pipelines | Several = each[0] if len(each) == 1 else Several(each)
         count = Counter(progress)
         layers = self._layers(pipeline, count, vertex)
         exposure = Exposure(self.device, self.tracer, self.camera)
@@ -272,32 +271,34 @@ class Scene:
         InputError
             If `error` is not between 0 and 1, or nothing meets it.
         """
-        check_error(error)
-        vertex = points == "vertex" or self.bake is not None
         check_eye(self.tracer, self.mesh, self.camera)
+        return self._plan(error, points == "vertex" or self.bake is not None)
+
+    def _plan(self, error: float, vertex: bool) -> Plan:
+        check_error(error)
         base = [own for own, _ in self.choose_settings(vertex)]
         fixed = {name for name, value in self._by_hand.items() if value is not None}
         return (plan_vertices if vertex else plan_pixels)(self, error, base, fixed)
 
     def _without_fine_levels(
         self, settings: list[tuple[Settings, str]], cost: float
-    ) -> list[tuple[Settings, str]]:
+    ) -> tuple[list[tuple[Settings, str]], dict[int, float]]:
         """The settings without the levels of the product that a material has no use for, at a relative error of `cost`.
 
-        What leaving them out may cost is kept in `fitted`, by material.
+        Returns
+        -------
+        settings, lost : what leaving them out may cost, by material, where any were
         """
-        self.fitted = {}
-        if self._by_hand.get("keep") is not None:
-            return settings
-        out = []
+        out: list[tuple[Settings, str]] = []
+        lost: dict[int, float] = {}
         for number, (own, reason) in enumerate(settings):
             keep = own.keep
-            if own.leaves("levels"):
-                keep, lost = needed(self.device, self.materials[number], own.keep, cost)
+            if own.leaves("levels") and self._by_hand.get("keep") is None:
+                keep, without = needed(self.device, self.materials[number], own.keep, cost)
                 if keep < own.keep:
-                    self.fitted[number] = lost
+                    lost[number] = without
             out.append((replace(own, keep=keep), reason))
-        return out
+        return out, lost
 
     def _planned(self, plan: Plan, vertex: bool) -> list[tuple[Settings, str]]:
         """A plan's settings with what was fixed by hand on top."""

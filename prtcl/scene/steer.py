@@ -28,7 +28,6 @@ class Steered:
     Attributes
     ----------
     error : relative RMSE that the image is expected to have, bias and noise
-    noise : of that, what more points would take away
     ratio : squared noise over what the films estimate, as the audits found
     confidence : that the image errs by no more than was asked
     pixel_error, hard_error : `Settings` that refine an image as far without audits
@@ -36,7 +35,6 @@ class Steered:
     """
 
     error: float
-    noise: float
     ratio: float
     confidence: float
     pixel_error: float
@@ -71,7 +69,7 @@ def steer(
     uncertain = math.hypot(noise * found.uncertain / max(found.ratio, 1e-300), bias_uncertain**2)
     squared = bias**2 + noise
     return Steered(
-        error=math.sqrt(squared), noise=math.sqrt(noise), ratio=found.ratio,
+        error=math.sqrt(squared), ratio=found.ratio,
         confidence=confidence(asked, squared, uncertain), pixel_error=error, hard_error=share, audits=audits,
     )  # fmt: skip
 

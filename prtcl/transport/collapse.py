@@ -12,6 +12,7 @@ from prtcl.compute.device import Device
 from prtcl.compute.tuning import Form, Tunable
 from prtcl.factors import environment, hemisphere
 from prtcl.factors.environment import Light
+from prtcl.factors.visibility import sees_all
 from prtcl.transport.settings import Settings
 from prtcl.wavelet import haar, masked, pyramid, triple
 
@@ -153,10 +154,9 @@ def _ray_weights(
     weighing only the cells beside a hidden one errs more than no weights at all, for which those are depends on
     where the rays went.)
     """
-    seen = np.uint32(0xFFFFFFFF >> max(0, 32 - 4**rays))
     some_hidden = grid != hemisphere.ALONE
     if leave_out and some_hidden.any():
-        some_hidden &= ~(bits == seen).all(axis=1)
+        some_hidden &= ~sees_all(bits, rays)
     grids, row = np.unique(np.where(some_hidden, grid, hemisphere.ALONE), return_inverse=True)
     return np.stack([hemisphere.ray_weights(rays, int(g)) for g in grids]), row
 

@@ -9,8 +9,8 @@ from prtcl.factors.material import Material
 from prtcl.factors.slices import Materials
 
 COST = 1e-3
-"""Relative error that the levels left out may cost, where none is asked for. None of the settings that
-`prtcl.transport.settings.choose` chooses has such levels."""
+"""Relative error that the levels left out may cost, by default: none of the settings that
+`prtcl.transport.settings.choose` chooses has such levels (tests/test_leave_out.py)."""
 WIDE = 0.25
 """GGX alpha below which none is left out: settings are chosen by the lobe there, and slices are dear."""
 VIEWS = 6

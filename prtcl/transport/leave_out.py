@@ -75,7 +75,6 @@ class Tally:
     def __init__(self) -> None:
         self._count: defaultdict[str, int] = defaultdict(int)
         self._of: defaultdict[str, int] = defaultdict(int)
-        self.errors: dict[str, float] = {}
         self._lock = threading.Lock()
 
     def add(self, name: str, count: int, of: int) -> None:
@@ -83,10 +82,6 @@ class Tally:
         with self._lock:
             self._count[name] += int(count)
             self._of[name] += int(of)
-
-    def cost(self, name: str, error: float) -> None:
-        """What leaving out may have cost, relative; of several statements the largest holds."""
-        self.errors[name] = max(error, self.errors.get(name, 0.0))
 
     def __getitem__(self, name: str) -> tuple[int, int]:
         return self._count[name], self._of[name]

@@ -17,7 +17,7 @@ from prtcl.factors.environment import Environment, Light
 from prtcl.factors.material import Material
 from prtcl.factors.slices import Materials, ViewTable
 from prtcl.factors.stored import SliceStore
-from prtcl.factors.visibility import Progress, Tracer
+from prtcl.factors.visibility import Progress, Tracer, sees_all
 from prtcl.transport import collapse, shade
 from prtcl.transport.leave_out import Tally
 from prtcl.transport.settings import Settings
@@ -180,8 +180,7 @@ class Pipeline:
         own grids, turned about the normal, the same sum would be taken over other directions.
         """
         settings = self.settings
-        every = np.uint32(0xFFFFFFFF >> max(0, 32 - quadtree.n_samples(settings.rays)))
-        whole = (seen == every).all(axis=1)
+        whole = sees_all(seen, settings.rays)
         below = some.views[:, 2] <= 0.0
         dark = ~seen.any(axis=1) | below if settings.leaves("unlit") else np.zeros(len(some), dtype=np.bool_)
         self.tally.add("unlit", dark.sum(), len(some))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 from prtcl import quadtree
 from prtcl.errors import InputError
@@ -79,6 +80,10 @@ class Settings:
     def leaves(self, name: str) -> bool:
         """Whether what has that name is left out where it may be."""
         return name in self.leave_out
+
+    def plain(self) -> dict[str, Any]:
+        """All of them as JSON can hold them."""
+        return {**vars(self), "leave_out": sorted(self.leave_out)}
 
     @property
     def tree(self) -> bool:

@@ -181,7 +181,7 @@ def material(scene: Scene, error: float) -> tuple[Row, npt.NDArray[np.float32], 
             "seconds": seconds,
             "pilot_seconds": render.plan.pilot_seconds,
             "why": render.plan.explain(),
-            "settings": [{**vars(own), "leave_out": sorted(own.leave_out)} for own in render.plan.settings],
+            "settings": [own.plain() for own in render.plan.settings],
         },
         "render": render.report,
     }
