@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import json
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +17,22 @@ from prtcl.compute.device import Device
 from prtcl.factors.sky import sun_sky
 from prtcl.files.image import write_exr
 from prtcl.scene.camera import Camera
+
+
+class Ran(NamedTuple):
+    """What a command came to."""
+
+    status: int
+    out: str
+    err: str
+
+    @property
+    def events(self) -> list[dict[str, Any]]:
+        """Of --json where it prints an object a line."""
+        return [json.loads(line) for line in self.out.splitlines()]
+
+
+Run = Callable[..., Ran]
 
 GROUP_EDGES = (1, 63, 64, 65, 131)
 """Row counts about a work-group of 64, and a prime of several groups."""

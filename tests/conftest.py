@@ -13,8 +13,10 @@ from functools import lru_cache
 from pathlib import Path
 
 import pytest
+from cases import Ran, Run
 from hypothesis import settings
 
+from prtcl.apps.cli import main
 from prtcl.apps.demo_scene import build
 from prtcl.compute import choice, tuning
 from prtcl.compute.device import Device
@@ -120,3 +122,18 @@ def shared_data() -> Path:
     if not SHARED_DATA.is_dir():
         pytest.skip(f"no {SHARED_DATA}")
     return SHARED_DATA
+
+
+@pytest.fixture
+def run(capsys: pytest.CaptureFixture[str]) -> Run:
+    """`main` in this process: its exit status and what it printed."""
+
+    def call(*arguments: object) -> Ran:
+        capsys.readouterr()
+        try:
+            status = main([str(argument) for argument in arguments])
+        except SystemExit as end:  # argparse's way out
+            status = int(end.code or 0)
+        return Ran(status, *capsys.readouterr())
+
+    return call

@@ -302,12 +302,12 @@ def test_a_failed_writing_leaves_the_older_bake(stored: Path, monkeypatch: pytes
         return "0" * 64
 
     with monkeypatch.context() as patched:
-        patched.setattr(array_store, "_sha256", full)
+        patched.setattr(array_store, "file_sha256", full)
         with pytest.raises(PrtclError, match=r"writing failed: .*No space left"):
             made(2).save(stored)
     assert outcome(stored) == "same" and [item.name for item in stored.parent.iterdir()] == [stored.name]
     with monkeypatch.context() as patched:
-        patched.setattr(array_store, "_sha256", lambda path: (_ for _ in ()).throw(KeyboardInterrupt))
+        patched.setattr(array_store, "file_sha256", lambda path: (_ for _ in ()).throw(KeyboardInterrupt))
         with pytest.raises(KeyboardInterrupt):
             made(2).save(stored)
     assert outcome(stored) == "same" and [item.name for item in stored.parent.iterdir()] == [stored.name]
@@ -318,8 +318,8 @@ def test_a_failed_writing_leaves_the_older_bake(stored: Path, monkeypatch: pytes
 
 def test_while_it_is_written_no_bake_has_the_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path, seen = tmp_path / "a.zarr", []
-    hashed = array_store._sha256
-    monkeypatch.setattr(array_store, "_sha256", lambda item: (seen.append(path.exists()), hashed(item))[1])
+    hashed = array_store.file_sha256
+    monkeypatch.setattr(array_store, "file_sha256", lambda item: (seen.append(path.exists()), hashed(item))[1])
     made().save(path)
     assert len(seen) > 10 and not any(seen) and path.exists()
 

@@ -6,12 +6,14 @@ import copy
 import json
 import math
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pytest
+from cases import Run
 
 from prtcl.apps.bench import command, compare, costs, limits, measure, plots, table, tune, world
 from prtcl.apps.bench.costs import Size
@@ -29,12 +31,6 @@ POINTS, LEVELS = 70, 3
 Row = dict[str, Any]
 
 
-class Ran(NamedTuple):
-    status: int
-    out: str
-    err: str
-
-
 @pytest.fixture(scope="module", autouse=True)
 def small() -> Iterator[None]:
     """Copies of a moment."""
@@ -47,18 +43,9 @@ def small() -> Iterator[None]:
 
 
 @pytest.fixture
-def run(capsys: pytest.CaptureFixture[str], opencl_device: choice.Seen) -> Callable[..., Ran]:
+def run(run: Run, opencl_device: choice.Seen) -> Run:
     """`prtcl bench` on a device in this process."""
-
-    def call(*arguments: str | Path) -> Ran:
-        capsys.readouterr()
-        try:
-            status = main(["bench", "--device", opencl_device.spec, *map(str, arguments)])
-        except SystemExit as end:
-            status = int(end.code or 0)
-        return Ran(status, *capsys.readouterr())
-
-    return call
+    return partial(run, "bench", "--device", opencl_device.spec)
 
 
 TINY = ("--points", str(POINTS), "--levels", str(LEVELS))
@@ -134,7 +121,7 @@ def test_tables_name_every_stage(result: Row, folder: Path) -> None:
         assert f"| {stage.title} |" in written and stage.title in table.text(result)
 
 
-def test_json_and_nothing_else(run: Callable[..., Ran]) -> None:
+def test_json_and_nothing_else(run: Run) -> None:
     ran = run(*TINY, "--stages", "forward_haar", "--json")
     assert ran.status == 0 and [row["stage"] for row in json.loads(ran.out)["rows"]] == ["forward_haar"]
 
@@ -167,7 +154,7 @@ def test_a_transform_moves_and_does_what_it_says() -> None:
 # --- checks --------------------------------------------------------------------------------------------------
 
 
-def test_a_wrong_result_is_found(run: Callable[..., Ran], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_wrong_result_is_found(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     honest = masked.reduce_samples
 
     def corrupted(device: Device, *arguments: Any) -> Any:
@@ -181,9 +168,7 @@ def test_a_wrong_result_is_found(run: Callable[..., Ran], monkeypatch: pytest.Mo
     assert "product at 70 points" in ran.err and "is wrong" in ran.err and "forward_haar" not in ran.err
 
 
-def test_results_that_are_not_finite_are_wrong(
-    run: Callable[..., Ran], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_results_that_are_not_finite_are_wrong(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     honest = haar.forward
     monkeypatch.setattr(
         haar, "forward", lambda device, *a, **k: device.array(honest(device, *a, **k).get() * np.nan)
@@ -299,7 +284,7 @@ def test_rows_of_other_sizes_are_counted(result: Row) -> None:
 
 @pytest.mark.parametrize(("factor", "status"), [(1e-4, 1), (1e4, 0)])
 def test_compare_on_the_command_line(
-    run: Callable[..., Ran], result: Row, tmp_path: Path, factor: float, status: int
+    run: Run, result: Row, tmp_path: Path, factor: float, status: int
 ) -> None:
     old = tmp_path / "old.json"
     old.write_text(json.dumps(slowed(result, factor)), encoding="utf-8")
@@ -318,9 +303,7 @@ def test_compare_on_the_command_line(
         (json.dumps({"format": compare.FORMAT, "rows": [{"stage": "light"}]}), "numbers missing"),
     ],
 )
-def test_bad_files_to_compare_with(
-    run: Callable[..., Ran], tmp_path: Path, content: str | None, word: str
-) -> None:
+def test_bad_files_to_compare_with(run: Run, tmp_path: Path, content: str | None, word: str) -> None:
     old = tmp_path / "old.json"
     if content is not None:
         old.write_text(content, encoding="utf-8")
@@ -346,9 +329,7 @@ def test_plots_are_written(result: Row, tmp_path: Path) -> None:
     assert (tmp_path / "roofline.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_plots_without_matplotlib(
-    run: Callable[..., Ran], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_plots_without_matplotlib(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     ran = run(*TINY, "-o", tmp_path / "out")
     assert ran.status == 2 and "pip install 'prtcl[plots]'" in ran.err and not (tmp_path / "out").exists()
@@ -367,12 +348,12 @@ def test_plots_without_matplotlib(
         (("--memory", "nan"), "GiB of memory"),
     ],
 )
-def test_bad_options(run: Callable[..., Ran], arguments: tuple[str, ...], word: str) -> None:
+def test_bad_options(run: Run, arguments: tuple[str, ...], word: str) -> None:
     ran = run(*arguments)
     assert ran.status == 2 and ran.out == "" and word in ran.err and len(ran.err.splitlines()) <= 2
 
 
-def test_a_folder_that_cannot_be_made(run: Callable[..., Ran], tmp_path: Path) -> None:
+def test_a_folder_that_cannot_be_made(run: Run, tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     ran = run(*TINY, "--no-plots", "-o", tmp_path / "file")
     assert ran.status == 2 and "cannot make the folder" in ran.err

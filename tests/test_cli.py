@@ -10,18 +10,17 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pytest
 import trimesh
+from cases import Ran, Run
 from numpy.typing import NDArray
 from PIL import Image
 
 from prtcl._version import __version__
-from prtcl.apps.cli import main
 from prtcl.apps.interrupts import deferred_interrupts
 from prtcl.compute import choice
 from prtcl.errors import DeviceError, InputError
@@ -31,30 +30,6 @@ from prtcl.scene.mesh import Mesh
 from prtcl.scene.scene import Scene
 
 ROOT = Path(__file__).resolve().parents[1]
-
-
-class Ran(NamedTuple):
-    status: int
-    out: str
-    err: str
-
-
-Run = Callable[..., Ran]
-
-
-@pytest.fixture
-def run(capsys: pytest.CaptureFixture[str]) -> Run:
-    """`main` in this process: its exit status and what it printed."""
-
-    def call(*arguments: str | Path) -> Ran:
-        capsys.readouterr()
-        try:
-            status = main([str(argument) for argument in arguments])
-        except SystemExit as end:  # argparse's way out
-            status = int(end.code or 0)
-        return Ran(status, *capsys.readouterr())
-
-    return call
 
 
 def sky(height: int = 16) -> NDArray[np.float32]:

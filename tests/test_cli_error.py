@@ -3,29 +3,23 @@
 from __future__ import annotations
 
 import json
+from functools import partial
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 import OpenEXR
 import pytest
 import trimesh
+from cases import Run
 
-from prtcl.apps.cli import main
 from prtcl.compute import choice
 from prtcl.factors.sky import sun_sky
 from prtcl.files.image import read_image, write_exr
 from prtcl.scene.plan import Plan
 
 
-class Ran(NamedTuple):
-    status: int
-    out: str
-    err: str
-
-
 @pytest.fixture
-def run(tmp_path: Path, opencl_device: choice.Seen, capsys: pytest.CaptureFixture[str]):  # type: ignore[no-untyped-def]
+def run(run: Run, tmp_path: Path, opencl_device: choice.Seen) -> Run:
     """`prtcl render` of a small ball under a sky, with more options."""
     trimesh.creation.icosphere(subdivisions=2).export(tmp_path / "ball.ply")
     sky = np.ones((16, 32, 4), dtype=np.float32)
@@ -33,17 +27,13 @@ def run(tmp_path: Path, opencl_device: choice.Seen, capsys: pytest.CaptureFixtur
     write_exr(tmp_path / "sky.exr", sky)
     (tmp_path / "out").mkdir()
 
-    def call(*more: object) -> Ran:
-        arguments = ["render", tmp_path / "ball.ply", "--env", tmp_path / "sky.exr", "--size", "24x20", "--device",
-                     opencl_device.spec, "-o", tmp_path / "out" / "a.exr", *more]  # fmt: skip
-        status = main([str(a) for a in arguments])
-        captured = capsys.readouterr()
-        return Ran(status, captured.out, captured.err)
-
-    return call
+    return partial(
+        run, "render", tmp_path / "ball.ply", "--env", tmp_path / "sky.exr", "--size", "24x20", "--device",
+        opencl_device.spec, "-o", tmp_path / "out" / "a.exr",
+    )  # fmt: skip
 
 
-def test_the_error_expected_is_said(run, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
+def test_the_error_expected_is_said(run: Run, tmp_path: Path) -> None:
     ran = run("--error", "0.05", "--explain")
     assert ran.status == 0
     assert "expected error" in ran.out and "asked for 5 %" in ran.out and "4^3 rays" in ran.out
@@ -52,7 +42,7 @@ def test_the_error_expected_is_said(run, tmp_path: Path) -> None:  # type: ignor
     assert report["plan"]["trials"]
 
 
-def test_a_plan_is_saved_reused_and_overridden(run, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
+def test_a_plan_is_saved_reused_and_overridden(run: Run, tmp_path: Path) -> None:
     plan = tmp_path / "out" / "plan.json"
     assert run("--error", "0.05", "--save-plan", plan).status == 0
     kept = Plan.load(plan)
@@ -67,7 +57,7 @@ def test_a_plan_is_saved_reused_and_overridden(run, tmp_path: Path) -> None:  # 
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["a.exr", "plan.json"]
 
 
-def test_the_error_channel(run, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
+def test_the_error_channel(run: Run, tmp_path: Path) -> None:
     assert run("--error-channel", "--samples", "2").status == 0
     channels = OpenEXR.File(str(tmp_path / "out" / "a.exr"), separate_channels=True).channels()
     assert set(channels) == {"R", "G", "B", "A", "error"}
@@ -90,8 +80,8 @@ def test_the_error_channel(run, tmp_path: Path) -> None:  # type: ignore[no-unty
         (["--error", "0.1", "--save-plan", "nowhere/p.json"], ["nowhere"]),
     ],
 )
-def test_what_contradicts_is_refused(  # type: ignore[no-untyped-def]
-    run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, options: list[str], words: list[str]
+def test_what_contradicts_is_refused(
+    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, options: list[str], words: list[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
     ran = run(*options)
@@ -101,7 +91,7 @@ def test_what_contradicts_is_refused(  # type: ignore[no-untyped-def]
     assert not list((tmp_path / "out").iterdir())
 
 
-def test_an_error_that_nothing_meets_ends_with_two_lines(run, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
+def test_an_error_that_nothing_meets_ends_with_two_lines(run: Run, tmp_path: Path) -> None:
     ran = run("--error", "0.0005", "--levels", "2", "--brdf", "ggx:alpha=0.1,f0=0.9")
     assert (
         ran.status == 2 and "no setting that was tried meets it" in ran.err and len(ran.err.splitlines()) == 2

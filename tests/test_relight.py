@@ -15,17 +15,17 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pytest
 import trimesh
+from cases import Ran, Run
 from PIL import Image
 
-from prtcl.apps.cli import main
 from prtcl.apps.relight import batch as batch_module
 from prtcl.apps.relight import folder as folder_module
 from prtcl.apps.relight import writer as writer_module
@@ -45,34 +45,6 @@ from prtcl.transport.engine_choice import Choice
 
 ROOT = Path(__file__).resolve().parents[1]
 SUPPORT = {".relight.lock", "manifest.json", "finished.jsonl"}
-
-
-class Ran(NamedTuple):
-    status: int
-    out: str
-    err: str
-
-    @property
-    def events(self) -> list[dict[str, Any]]:
-        return [json.loads(line) for line in self.out.splitlines()]
-
-
-Run = Callable[..., Ran]
-
-
-@pytest.fixture
-def run(capsys: pytest.CaptureFixture[str]) -> Run:
-    """`main` in this process: its exit status and what it printed."""
-
-    def call(*arguments: str | Path) -> Ran:
-        capsys.readouterr()
-        try:
-            status = main([str(argument) for argument in arguments])
-        except SystemExit as end:
-            status = int(end.code or 0)
-        return Ran(status, *capsys.readouterr())
-
-    return call
 
 
 def write_sky(path: Path, colour: tuple[float, float, float]) -> None:

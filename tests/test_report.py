@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 import pytest
 import trimesh
+from cases import Run
 
-from prtcl.apps.cli import main
 from prtcl.apps.report import measure
 from prtcl.apps.report.page import page
 from prtcl.compute import choice
@@ -26,14 +25,6 @@ from prtcl.scene.mesh import Mesh
 from prtcl.scene.scene import Scene
 from prtcl.transport.settings import Settings
 
-
-class Ran(NamedTuple):
-    status: int
-    out: str
-    err: str
-
-
-Run = Callable[..., Ran]
 VIEW = Camera((3.1, 2.5, 5.4), (-0.1, 0.75, -0.3), fov=38.0, size=(48, 36))
 
 
@@ -45,20 +36,16 @@ def small(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture
-def run(tmp_path: Path, opencl_device: choice.Seen, capsys: pytest.CaptureFixture[str]) -> Run:
+def run(run: Run, tmp_path: Path, opencl_device: choice.Seen) -> Run:
     trimesh.creation.icosphere(subdivisions=2).export(tmp_path / "ball.ply")
     sky = np.ones((16, 32, 4), dtype=np.float32)
     sky[..., :3] = sun_sky(16)
     write_exr(tmp_path / "sky.exr", sky)
 
-    def call(*more: object) -> Ran:
-        arguments = ["report", tmp_path / "ball.ply", "--env", tmp_path / "sky.exr", "--size", "24x20", "--device",
-                     opencl_device.spec, "-o", tmp_path / "out", *more]  # fmt: skip
-        status = main([str(a) for a in arguments])
-        captured = capsys.readouterr()
-        return Ran(status, captured.out, captured.err)
-
-    return call
+    return partial(
+        run, "report", tmp_path / "ball.ply", "--env", tmp_path / "sky.exr", "--size", "24x20", "--device",
+        opencl_device.spec, "-o", tmp_path / "out",
+    )  # fmt: skip
 
 
 def sample(

@@ -5,13 +5,14 @@ from __future__ import annotations
 import json
 import math
 import sys
-from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pytest
+from cases import Run
 
 from prtcl.apps.cli import main
 from prtcl.apps.stress import command, data, plots, runner, storage, table, transforms
@@ -27,25 +28,10 @@ TINY = ("--levels", "3", "--points", "70")
 Row = dict[str, Any]
 
 
-class Ran(NamedTuple):
-    status: int
-    out: str
-    err: str
-
-
 @pytest.fixture
-def run(capsys: pytest.CaptureFixture[str], opencl_device: choice.Seen) -> Callable[..., Ran]:
+def run(run: Run, opencl_device: choice.Seen) -> Run:
     """`prtcl stress` on a device in this process."""
-
-    def call(*arguments: str | Path) -> Ran:
-        capsys.readouterr()
-        try:
-            status = main(["stress", "--device", opencl_device.spec, *map(str, arguments)])
-        except SystemExit as end:
-            status = int(end.code or 0)
-        return Ran(status, *capsys.readouterr())
-
-    return call
+    return partial(run, "stress", "--device", opencl_device.spec)
 
 
 def trial(**more: Any) -> Trial:
@@ -232,14 +218,14 @@ def test_a_series_is_spoken_for_by_its_worst() -> None:
     )
 
 
-def test_json_and_markdown_and_nothing_else(run: Callable[..., Ran]) -> None:
+def test_json_and_markdown_and_nothing_else(run: Run) -> None:
     ran = run(*TINY, "--cases", "haar", "--precision", "float32", "--json")
     assert ran.status == 0 and {row["case"] for row in json.loads(ran.out)["rows"]} == {"haar"}
     ran = run(*TINY, "--cases", "haar", "--precision", "float32", "--markdown")
     assert ran.status == 0 and "## Haar transforms of hard patterns" in ran.out
 
 
-def test_a_wrong_kernel_ends_with_status_1(run: Callable[..., Ran], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_wrong_kernel_ends_with_status_1(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     honest = haar.forward
 
     def corrupted(device: Device, *arguments: Any, **options: Any) -> Any:
@@ -254,7 +240,7 @@ def test_a_wrong_kernel_ends_with_status_1(run: Callable[..., Ran], monkeypatch:
     assert "inverse" not in ran.err
 
 
-def test_mistakes_are_named(run: Callable[..., Ran]) -> None:
+def test_mistakes_are_named(run: Run) -> None:
     ran = run("--cases", "hair")
     assert ran.status == 2 and "--cases: hair is none" in ran.err and "parent_sums" in ran.err
     assert run("--levels", "2").status == 2

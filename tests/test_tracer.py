@@ -394,7 +394,7 @@ def test_an_interrupt_drops_the_tasks_that_wait() -> None:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        module._in_parallel(run, 200, 1)
+        module.in_parallel(run, 200, 1)
     assert len(ran) <= 4 * module.threads()
 
 

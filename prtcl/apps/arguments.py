@@ -46,13 +46,29 @@ def add_scene(
         "--env-up", choices=("y", "z"), default="y", help="the environment's up axis (default: y)"
     )
     command.add_argument("--repair", action="store_true", help="replace NaN, infinite and negative radiance")
+    add_camera(command, pixels)
+    command.add_argument("--samples", type=int, metavar="N", help="N x N sub-pixel points (default: adapts)")
+    add_points(command)
+    add_fine(command, "; see --explain").add_argument(
+        "--leave-out", metavar="LIST",
+        help="what the scene does not need: all, none, or names such as grey,rays or no-grey (default: all; see "
+        "--explain)",
+    )  # fmt: skip
+    command.add_argument("--explain", action="store_true", help="what was chosen and left out, and why")
+
+
+def add_camera(command: Any, pixels: tuple[int, int] = (512, 512)) -> None:
+    """A view, to a parser or a group of one; `pixels` is --size by default."""
     for name in ("eye", "target", "up"):
         command.add_argument(f"--{name}", nargs=3, type=float, metavar=("X", "Y", "Z"))
     command.add_argument("--fov", type=float, default=40.0, metavar="DEG", help="horizontal (default: 40)")
     command.add_argument(
         "--size", type=size, default=pixels, metavar="WxH", help=f"pixels (default: {pixels[0]}x{pixels[1]})"
     )
-    command.add_argument("--samples", type=int, metavar="N", help="N x N sub-pixel points (default: adapts)")
+
+
+def add_points(command: argparse.ArgumentParser) -> None:
+    """Where radiance is computed, and on which side of what normals."""
     command.add_argument(
         "--points",
         choices=("pixel", "vertex"),
@@ -60,12 +76,6 @@ def add_scene(
     )
     command.add_argument("--one-sided", action="store_true", help="surfaces seen from behind are black")
     command.add_argument("--smooth", action="store_true", help="vertex normals averaged over the faces")
-    add_fine(command, "; see --explain").add_argument(
-        "--leave-out", metavar="LIST",
-        help="what the scene does not need: all, none, or names such as grey,rays or no-grey (default: all; see "
-        "--explain)",
-    )  # fmt: skip
-    command.add_argument("--explain", action="store_true", help="what was chosen and left out, and why")
 
 
 def add_fine(command: argparse.ArgumentParser, more: str = "") -> Any:

@@ -11,7 +11,6 @@ from prtcl.apps import commands, info, occlusion
 from prtcl.apps.arguments import (
     add_common,
     add_device,
-    add_fine,
     add_plan,
     add_scene,
     gibibytes,
@@ -71,7 +70,7 @@ def parser() -> Parser:
     add_common(render)
     render.set_defaults(run=commands.render)
 
-    relight.register(every, size, add_fine, add_device, add_common, commands.relight)
+    relight.register(every, commands.relight)
 
     bake = every.add_parser("bake", help="trace the visibility of a mesh's vertices once, for reuse")
     bake.add_argument("mesh", metavar="MESH")

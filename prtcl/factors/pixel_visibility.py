@@ -115,11 +115,11 @@ def soft_visibility(
             seen = visible(row, sample).reshape(rows, count)
         else:
             seen = refine.visibility(rows, levels, visible, BLOCKS)
-        bits[part] = rays._pack(seen.reshape(rows // 2, 2 * count), bits.shape[1])
+        bits[part] = rays.pack(seen.reshape(rows // 2, 2 * count), bits.shape[1])
         if progress is not None:
             progress(rows // 2)
 
-    rays._in_parallel(run, len(pixels), max(1, 8 * rays.RAYS_PER_TASK // sphere.n_cells(levels)))
+    rays.in_parallel(run, len(pixels), max(1, 8 * rays.RAYS_PER_TASK // sphere.n_cells(levels)))
     return bits
 
 
@@ -202,7 +202,7 @@ def hard_visibility(
             mixed |= (margin[part] > UNEVEN)[:, None]
             visible[:, rest] = (whole & ~mixed)[:, of_rest]
             trace(mixed[:, of_rest], rest)
-        bits[part] = rays._pack(visible, bits.shape[1])
+        bits[part] = rays.pack(visible, bits.shape[1])
 
-    rays._in_parallel(run, len(pixels), max(1, 8 * rays.RAYS_PER_TASK // count))
+    rays.in_parallel(run, len(pixels), max(1, 8 * rays.RAYS_PER_TASK // count))
     return bits

@@ -129,7 +129,7 @@ class Tracer:
             )
             return hit["primID"], np.stack([hit["u"], hit["v"]], axis=1).astype(np.float64)
 
-        results = _in_parallel(run, len(start), RAYS_PER_TASK)
+        results = in_parallel(run, len(start), RAYS_PER_TASK)
         if not results:
             return np.empty(0, dtype=np.int32), np.empty((0, 2))
         return np.concatenate([r[0] for r in results]), np.concatenate([r[1] for r in results])
@@ -184,11 +184,11 @@ class Tracer:
                         np.take(own, point, axis=0), np.take(rays, point * count + sample, axis=0)
                     ),
                 )  # fmt: skip
-            bits[part] = _pack(seen, words)
+            bits[part] = pack(seen, words)
             if progress is not None:
                 progress(part.stop - part.start)
 
-        _in_parallel(run, len(origins), max(1, RAYS_PER_TASK // count))
+        in_parallel(run, len(origins), max(1, RAYS_PER_TASK // count))
         return bits
 
     def light_visibility(
@@ -244,11 +244,11 @@ class Tracer:
                 left = above & ~probe
                 visible[left] = np.repeat(every, sizes, axis=1)[left]
                 trace(left & ~np.repeat(every | none, sizes, axis=1))
-            bits[part] = _pack(visible, words)
+            bits[part] = pack(visible, words)
             if progress is not None:
                 progress(part.stop - part.start)
 
-        _in_parallel(run, len(origins), max(1, RAYS_PER_TASK // max(1, count)))
+        in_parallel(run, len(origins), max(1, RAYS_PER_TASK // max(1, count)))
         return bits
 
 
@@ -292,14 +292,15 @@ def _reach(
     return vertices, vertices[faces].max(axis=1)
 
 
-def _pack(visible: npt.NDArray[np.bool_], words: int) -> npt.NDArray[np.uint32]:
+def pack(visible: npt.NDArray[np.bool_], words: int) -> npt.NDArray[np.uint32]:
+    """Bits (n, words) of what (n, samples) is visible, filled up with zeros."""
     packed = np.packbits(visible, axis=1, bitorder="little")
     padded = np.zeros((len(visible), 4 * words), dtype=np.uint8)
     padded[:, : packed.shape[1]] = packed
     return padded.view("<u4").astype(np.uint32, copy=False)
 
 
-def _in_parallel(run: Callable[[slice], object], count: int, size: int) -> list:  # type: ignore[type-arg]
+def in_parallel(run: Callable[[slice], object], count: int, size: int) -> list:  # type: ignore[type-arg]
     """`run` over slices of at most `size`, on every core; embree and NumPy let go of the GIL."""
     parts = [slice(start, min(start + size, count)) for start in range(0, count, size)]
     if len(parts) <= 1:

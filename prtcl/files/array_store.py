@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prtcl.errors import InputError, PrtclError
+from prtcl.files.digest import file_sha256
 from prtcl.files.folder import replacing_folder
 
 SUMS = "SHA256SUMS"
@@ -85,7 +86,7 @@ def write_store(
                 )
                 stored[...] = array
             files = sorted(item for item in aside.rglob("*") if item.is_file())
-            lines = "".join(f"{_sha256(item)}  {item.relative_to(aside).as_posix()}\n" for item in files)
+            lines = "".join(f"{file_sha256(item)}  {item.relative_to(aside).as_posix()}\n" for item in files)
             lines += f"# {hashlib.sha256(lines.encode()).hexdigest()}\n"
             (aside / SUMS).write_bytes(lines.encode())
     except OSError as error:
@@ -216,7 +217,7 @@ class ArrayStore:
         if wanted is None:
             self._damaged(f"{name} is not listed in {SUMS}")
         try:
-            got = _sha256(self.path / name)
+            got = file_sha256(self.path / name)
         except FileNotFoundError:
             self._damaged(f"{name} is missing")
         except OSError as error:
@@ -226,14 +227,6 @@ class ArrayStore:
 
     def _damaged(self, reason: str) -> NoReturn:
         raise InputError(f"{self.path}: {self.what} is damaged: {reason}; copy or make it again")
-
-
-def _sha256(path: Path) -> str:
-    digest = hashlib.sha256()
-    with path.open("rb") as file:
-        while block := file.read(1 << 20):
-            digest.update(block)
-    return digest.hexdigest()
 
 
 def _reason(error: BaseException) -> str:

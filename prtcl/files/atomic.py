@@ -63,7 +63,7 @@ def check_writable(path: str | os.PathLike[str]) -> None:
     try:
         if not target.name:
             raise InputError(f"{target}: expected the name of a file to write, got a folder")
-        target = _resolved(target)
+        target = resolved(target)
         parent = target.parent
         if not parent.exists():
             raise InputError(f"{target}: cannot be written, there is no folder {parent}; create it first")
@@ -115,7 +115,7 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
         `path` cannot be written (see `check_writable`).
     """
     check_writable(path)
-    target = _resolved(Path(path))
+    target = resolved(Path(path))
     temporary = target.with_name(f".{uuid.uuid4().hex}{target.suffix}")
     try:
         yield temporary
@@ -127,6 +127,6 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
         raise
 
 
-def _resolved(path: Path) -> Path:
+def resolved(path: Path) -> Path:
     """Follow a symbolic link at `path` itself, and leave any other path as it was given."""
     return Path(os.path.realpath(path)) if path.is_symlink() else path

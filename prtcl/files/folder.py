@@ -11,6 +11,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from prtcl.errors import InputError
+from prtcl.files.atomic import resolved
 
 
 def check_folder_writable(path: str | os.PathLike[str], mark: str) -> None:
@@ -32,7 +33,7 @@ def check_folder_writable(path: str | os.PathLike[str], mark: str) -> None:
     try:
         if not target.name:
             raise InputError(f"{target}: expected the name of a folder to write")
-        parent = _resolved(target).parent
+        parent = resolved(target).parent
         if not parent.is_dir():
             raise InputError(f"{target}: cannot be written, there is no folder {parent}; create it first")
         if target.exists():
@@ -74,7 +75,7 @@ def replacing_folder(path: str | os.PathLike[str], mark: str) -> Iterator[Path]:
         `path` cannot be written.
     """
     check_folder_writable(path, mark)
-    target = _resolved(Path(path))
+    target = resolved(Path(path))
     aside, older = (target.with_name(f".{uuid.uuid4().hex}{target.suffix}") for _ in range(2))
     try:
         aside.mkdir()
@@ -92,8 +93,3 @@ def replacing_folder(path: str | os.PathLike[str], mark: str) -> Iterator[Path]:
         shutil.rmtree(aside, ignore_errors=True)
         if target.exists():
             shutil.rmtree(older, ignore_errors=True)
-
-
-def _resolved(path: Path) -> Path:
-    """Follow a symbolic link at `path` itself, and leave any other path as it was given."""
-    return Path(os.path.realpath(path)) if path.is_symlink() else path

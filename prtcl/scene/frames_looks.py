@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
@@ -13,7 +12,7 @@ from prtcl.factors.material import Material
 from prtcl.scene.mesh import Mesh
 from prtcl.scene.scene import own_materials
 from prtcl.scene.tint import Tints, colour_notes
-from prtcl.transport.settings import Settings, choose
+from prtcl.transport.settings import Settings, settle
 
 Assignment = npt.NDArray[np.int32]
 
@@ -65,7 +64,7 @@ class Looks:
             first = len(self.materials)
             self.worn.append(own)
             self.materials += tints.materials
-            chosen = [_settings(material, alone, baked, settings) for material in own]
+            chosen = [settle(material, alone, baked, settings)[0] for material in own]
             self.settings += [chosen[parent] for parent in tints.parent]
             self.full.append(first + which)
             left = tints.left[which]
@@ -73,15 +72,3 @@ class Looks:
             self.tinted.append(tints.tinted[which])
             self.notes += [note for m in own for note in m.notes] + colour_notes(own, mesh)
         self.notes = list(dict.fromkeys(self.notes))
-
-
-def _settings(
-    material: Material, alone: bool, baked: int | None, by_hand: dict[str, float | str | None]
-) -> Settings:
-    """What a material needs, with what was fixed by hand or by a bake on top."""
-    chosen, _ = choose(material, alone)
-    if baked is None:
-        return chosen.with_defaults(**by_hand)
-    if by_hand.get("levels") is None:
-        chosen = replace(chosen, levels=max(chosen.levels, baked))
-    return chosen.with_defaults(**{**by_hand, "rays": baked})

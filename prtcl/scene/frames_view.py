@@ -13,7 +13,6 @@ from prtcl.scene.camera import Camera
 from prtcl.scene.frames_engine import RADIANCE, Image, Wanted
 from prtcl.scene.frames_looks import Looks
 from prtcl.scene.mesh import Mesh
-from prtcl.scene.points import check_eye
 from prtcl.scene.view_points import SIDE, ViewPoints
 from prtcl.transport.fixed_view import FixedView, rays_for
 
@@ -66,7 +65,6 @@ class ViewEngine:
     def prepare(self, camera: Camera) -> None:
         """Shoot the camera's rays, and trace what each pixel sees."""
         self._seen = None
-        check_eye(self.tracer, self.mesh, camera)
         with self.device.profile.host("camera_rays"):
             points = ViewPoints.of(self.mesh, self.tracer, camera, self.side, two_sided=self.two_sided)
         self._seen = points, FixedView(self.device, self.tracer, points.points, points.pixel, rays=self._rays)

@@ -35,7 +35,7 @@ from prtcl.scene.tint import Tints, colour_notes
 from prtcl.transport.fine_levels import needed
 from prtcl.transport.leave_out import parse
 from prtcl.transport.pipeline import Pipelines, Points
-from prtcl.transport.settings import Settings, choose
+from prtcl.transport.settings import Settings, settle
 from prtcl.transport.several import Several
 
 FITTED = 0.1
@@ -174,13 +174,8 @@ class Scene:
 
     def choose_settings(self, vertex: bool) -> list[tuple[Settings, str]]:
         """What every material needs at vertices or pixels, with what was fixed by hand on top, and why."""
-        out = []
-        for material in self.materials:
-            chosen, reason = choose(material, alone=vertex)
-            if self.bake is not None and self._by_hand.get("levels") is None:
-                chosen = replace(chosen, levels=max(chosen.levels, self.bake.rays))
-            out.append((chosen.with_defaults(**self._by_hand), reason))
-        return out
+        baked = None if self.bake is None else self.bake.rays
+        return [settle(material, vertex, baked, self._by_hand) for material in self.materials]
 
     def render(
         self, *, points: str = "pixel", samples: int | None = None, error: float | None = None,

@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
 from prtcl.factors.visibility import Tracer
 from prtcl.scene.camera import Camera
+from prtcl.scene.frames_points import see
 from prtcl.scene.mesh import Mesh
-from prtcl.scene.points import pixel_points, shoot
 from prtcl.transport.pipeline import Points
 
-BATCH = 1 << 19
-"""Camera rays in flight."""
 SIDE = 8
 """Points along a pixel's side: V ⊕ f_v traces no more rays for more points, and glints need them
 (bench/relight_choices.py)."""
@@ -49,23 +47,18 @@ class ViewPoints:
         Parameters
         ----------
         one_material : all points are of material 0, whatever the mesh's parts
+
+        Raises
+        ------
+        InputError
+            If the camera sees nothing of the mesh, or stands inside it.
         """
-        each, count = side * side, camera.size[0] * camera.size[1]
-        found: list[tuple[npt.NDArray[np.int64], Points]] = []
-        for start in range(0, count, max(1, BATCH // each)):
-            some = np.arange(start, min(count, start + max(1, BATCH // each)))
-            pixel, sub = np.repeat(some, each), np.tile(np.arange(each), len(some))
-            hits = shoot(tracer, camera, pixel, sub)
-            found.append((pixel[hits.ray], pixel_points(mesh, tracer, hits, sub[hits.ray], two_sided)))
-        pixel = np.concatenate([own for own, _ in found])
-        arrays = [own.name for own in fields(Points) if own.name != "polar"]
-        points = Points(
-            **{name: np.concatenate([getattr(own, name) for _, own in found]) for name in arrays}, polar=True
-        )
+        sight = see(mesh, tracer, camera, side, False, two_sided)
+        points = sight.points
         if one_material:
             points = replace(points, material=np.zeros_like(points.material))
-        seen, hits_of = np.unique(pixel, return_counts=True)
-        return cls(points, pixel, seen, hits_of / each, camera.size)
+        seen, hits_of = np.unique(sight.pixel, return_counts=True)
+        return cls(points, sight.pixel, seen, hits_of / sight.each, camera.size)
 
     def image(self, radiance: npt.NDArray[np.floating]) -> npt.NDArray[np.float32]:
         """(h, w, 4) linear RGBA, colour premultiplied by coverage, of the radiance (pixels, 3) of what was seen."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -100,6 +101,26 @@ class Settings:
             for name in ("rays", "keep"):
                 fixed.setdefault(name, min(getattr(self, name), int(fixed["levels"])))  # type: ignore[arg-type]
         return replace(self, **fixed)  # type: ignore[arg-type]
+
+
+def settle(
+    material: Material,
+    alone: bool,
+    baked: int | None,
+    by_hand: Mapping[str, float | str | frozenset[str] | None],
+) -> tuple[Settings, str]:
+    """What `choose` chooses, with what was fixed by hand or by a bake on top.
+
+    Parameters
+    ----------
+    baked : levels of a bake's rays, or None where they are traced
+    """
+    chosen, reason = choose(material, alone)
+    if baked is None:
+        return chosen.with_defaults(**by_hand), reason
+    if by_hand.get("levels") is None:
+        chosen = replace(chosen, levels=max(chosen.levels, baked))
+    return chosen.with_defaults(**{**by_hand, "rays": baked}), reason
 
 
 def choose(material: Material, alone: bool = False) -> tuple[Settings, str]:

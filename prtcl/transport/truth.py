@@ -7,15 +7,13 @@ takes products of differences at points that were sampled apart, in which the no
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
-
 import numpy as np
 import numpy.typing as npt
 
 from prtcl import reference
 from prtcl.factors.environment import Environment
 from prtcl.factors.material import Material
-from prtcl.factors.visibility import Tracer, threads
+from prtcl.factors.visibility import Tracer, in_parallel
 from prtcl.transport.pipeline import Points
 
 Array = npt.NDArray[np.float64]
@@ -58,12 +56,11 @@ class Truth:
             tasks += [(index, of_it[start : start + step]) for start in range(0, len(of_it), step)]
         seeds = rng.spawn(len(tasks))
 
-        def run(task: int) -> None:
-            index, rows = tasks[task]
-            out[rows] = self._some(points[rows], int(index), samples, seeds[task])
+        def run(part: slice) -> None:
+            for (index, rows), seed in zip(tasks[part], seeds[part], strict=True):
+                out[rows] = self._some(points[rows], int(index), samples, seed)
 
-        with ThreadPoolExecutor(threads()) as pool:
-            list(pool.map(run, range(len(tasks))))
+        in_parallel(run, len(tasks), 1)
         return out
 
     def _some(self, points: Points, index: int, samples: int, rng: np.random.Generator) -> Array:

@@ -110,10 +110,10 @@ def embree(stage: str, points: int, levels: int, channels: int) -> RivalJob:
         return tracer._scene.run(origins[part], towards[part], query="OCCLUDED")
 
     def call() -> Any:
-        return rays._in_parallel(trace, len(towards), rays.RAYS_PER_TASK)
+        return rays.in_parallel(trace, len(towards), rays.RAYS_PER_TASK)
 
     def answer(result: list[Any]) -> Any:
         seen = np.concatenate(result).reshape(count, -1) < 0
-        return rays._pack(seen[:FIRST], max(1, 4**levels // 32))
+        return rays.pack(seen[:FIRST], max(1, 4**levels // 32))
 
     return RivalJob({"every ray": call}, answer, count)

@@ -15,11 +15,10 @@ import numpy as np
 
 from prtcl.errors import InputError
 from prtcl.factors.material import Material
+from prtcl.files.digest import file_sha256
 from prtcl.files.radiance import EXTENSIONS
 from prtcl.files.source import check_source
 from prtcl.scene.mesh import Mesh
-
-BLOCK = 1 << 20
 
 
 def environments(given: Sequence[str]) -> list[Path]:
@@ -63,14 +62,10 @@ def file_digest(path: str | os.PathLike[str]) -> str:
     InputError
         If it cannot be read.
     """
-    digest = hashlib.sha256()
     try:
-        with open(path, "rb") as file:
-            while block := file.read(BLOCK):
-                digest.update(block)
+        return file_sha256(path)
     except OSError as error:
         raise InputError(f"{os.fspath(path)}: cannot be read: {error.strerror}") from error
-    return digest.hexdigest()
 
 
 def mesh_digest(mesh: Mesh, *more: Any) -> str:

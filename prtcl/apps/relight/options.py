@@ -7,23 +7,13 @@ import math
 from collections.abc import Callable
 from typing import Any
 
+from prtcl.apps.arguments import add_camera, add_device, add_fine, add_points
+
 MOST_ROTATIONS = 100_000
 
-Add = Callable[[argparse.ArgumentParser], None]
 
-
-def register(
-    commands: Any, size: Callable[[str], tuple[int, int]], fine: Add, device: Add, common: Add,
-    run: Callable[[argparse.Namespace], int],
-) -> None:  # fmt: skip
-    """Add the command.
-
-    Parameters
-    ----------
-    size : the type of --size
-    fine, device, common : add options that other commands have too
-    run : the command itself
-    """
+def register(commands: Any, run: Callable[[argparse.Namespace], int]) -> None:
+    """Add the command, which runs `run`."""
     from prtcl.factors.material import FORMS
 
     command = commands.add_parser(
@@ -53,7 +43,7 @@ def register(
     )  # fmt: skip
     command.add_argument("--env-up", choices=("y", "z"), default="y", help="the up axis (default: y)")
     command.add_argument("--repair", action="store_true", help="replace NaN, infinite and negative radiance")
-    _views(command, size)
+    _views(command)
     command.add_argument(
         "--samples", type=int, metavar="N",
         help="N x N sub-pixel points, traced once (default: 3, or 8 where views are factored)",
@@ -69,12 +59,7 @@ def register(
         help="relative RMSE to aim for: finds the rays and points that meet it in every material under the first light "
         "from the first view",
     )  # fmt: skip
-    command.add_argument(
-        "--points", choices=("pixel", "vertex"),
-        help="where radiance is computed (default: pixel; vertex for a bake)",
-    )  # fmt: skip
-    command.add_argument("--one-sided", action="store_true", help="surfaces seen from behind are black")
-    command.add_argument("--smooth", action="store_true", help="vertex normals averaged over the faces")
+    add_points(command)
     command.add_argument("--png", action="store_true", help="also 8-bit sRGB previews")
     command.add_argument(
         "--exposure", type=float, default=0.0, metavar="STOPS", help="of the previews (default: 0)"
@@ -82,8 +67,8 @@ def register(
     command.add_argument(
         "--overwrite", action="store_true", help="replace the images of another job that DIR holds"
     )
-    fine(command)
-    device(command)
+    add_fine(command)
+    add_device(command)
     command.add_argument("--quiet", action="store_true", help="no progress bar, no summary")
     command.add_argument(
         "--json", action="store_true", help="events on standard output as they come, one JSON object a line"
@@ -91,7 +76,7 @@ def register(
     command.set_defaults(run=run)
 
 
-def _views(command: argparse.ArgumentParser, size: Callable[[str], tuple[int, int]]) -> None:
+def _views(command: argparse.ArgumentParser) -> None:
     """Options that say what the images are seen from."""
     views = command.add_argument_group("views (default: one that frames the mesh)")
     views.add_argument(
@@ -108,12 +93,7 @@ def _views(command: argparse.ArgumentParser, size: Callable[[str], tuple[int, in
         help="a JSON list of {eye, target[, up, fov, name]}, or the cameras of a .gltf or .glb, which bring their own "
         "field of view",
     )  # fmt: skip
-    for name in ("eye", "target", "up"):
-        views.add_argument(f"--{name}", nargs=3, type=float, metavar=("X", "Y", "Z"))
-    views.add_argument("--fov", type=float, default=40.0, metavar="DEG", help="horizontal (default: 40)")
-    views.add_argument(
-        "--size", type=size, default=(512, 512), metavar="WxH", help="pixels (default: 512x512)"
-    )
+    add_camera(views)
 
 
 def rotations(text: str) -> list[float]:
