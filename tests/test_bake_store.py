@@ -319,7 +319,9 @@ def test_a_failed_writing_leaves_the_older_bake(stored: Path, monkeypatch: pytes
 def test_while_it_is_written_no_bake_has_the_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path, seen = tmp_path / "a.zarr", []
     hashed = array_store.file_sha256
-    monkeypatch.setattr(array_store, "file_sha256", lambda item: (seen.append(path.exists()), hashed(item))[1])
+    monkeypatch.setattr(
+        array_store, "file_sha256", lambda item: (seen.append(path.exists()), hashed(item))[1]
+    )
     made().save(path)
     assert len(seen) > 10 and not any(seen) and path.exists()
 

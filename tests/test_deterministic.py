@@ -1,4 +1,8 @@
-"""The same input on the same device gives the same bytes: in one process, in another, and whatever ran before."""
+"""The same input on the same device gives the same bytes in another process.
+
+In one process: tests/test_scene_render.py (test_the_same_scene_gives_the_same_bits) and tests/test_session.py
+(test_edits_in_a_row_end_where_a_fresh_session_starts).
+"""
 
 from __future__ import annotations
 
@@ -8,16 +12,12 @@ import sys
 from pathlib import Path
 
 import numpy as np
-import pytest
 
 from prtcl.compute import choice
-from prtcl.compute.device import Device
 from prtcl.factors.environment import Environment
 from prtcl.files.image import write_exr
 from prtcl.scene.camera import Camera
 from prtcl.scene.mesh import Mesh
-from prtcl.scene.scene import Scene
-from prtcl.scene.session import Session
 
 ROOT = Path(__file__).resolve().parents[1]
 VIEW = Camera((3.1, 2.5, 5.4), (-0.1, 0.75, -0.3), fov=38.0, size=(20, 15))
@@ -42,25 +42,3 @@ def test_two_processes_write_the_same_file(
         subprocess.run(command, cwd=tmp_path, env=environment, check=True, timeout=240)
         files.append((tmp_path / f"{name}.exr").read_bytes())
     assert files[0] == files[1]
-
-
-@pytest.mark.parametrize("points", ["pixel", "vertex"])
-def test_a_device_that_was_used_gives_the_same_bytes(
-    device: Device, mesh: Mesh, sky: Environment, points: str
-) -> None:
-    """Pooled memory, cached programs and tables, other scenes before: none of it is seen."""
-    first = Scene(mesh, sky, SPEC, VIEW, device=device).render(points=points)
-    Scene(mesh, Environment.constant(2.0), "lambert:albedo=0.5", VIEW, device=device).render(samples=1)
-    again = Scene(mesh, sky, SPEC, VIEW, device=device).render(points=points)
-    assert (first.image == again.image).all() and (first.error == again.error).all()
-
-
-def test_a_session_gives_the_same_bytes_whatever_was_seen_before(
-    device: Device, mesh: Mesh, sky: Environment
-) -> None:
-    straight = Session(mesh, sky, SPEC, VIEW, device=device, levels=5).view().image
-    session = Session(mesh, sky, "lambert:albedo=0.5", VIEW, device=device, levels=5)
-    session.view(eye=(-3.0, 1.0, 2.0))
-    session.material = SPEC
-    session.view(eye=(0.0, 4.0, 0.5))
-    assert (session.view(VIEW).image == straight).all()
