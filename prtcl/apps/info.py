@@ -84,7 +84,7 @@ def describe(path: str, verify: bool = False) -> dict[str, Any]:
 def _describe_npz(path: str) -> dict[str, Any]:
     from prtcl.files.npz import read_npz
     from prtcl.scene.bake import Bake
-    from prtcl.scene.bake_layout import mesh_arrays
+    from prtcl.scene.bake_layout import mesh_arrays, text_of
     from prtcl.scene.bake_store import PARAMETERISATION, WHAT
 
     bake = Bake.load(path)
@@ -95,7 +95,7 @@ def _describe_npz(path: str) -> dict[str, Any]:
         "parameterisation": PARAMETERISATION,
         "bytes": {"disk": Path(path).stat().st_size, "raw": raw},
         "chunks": None,
-        "prtcl": str(data.get("prtcl", "unknown")),
+        "prtcl": text_of(path, data, "prtcl") or "unknown",
         "format": int(data["format"]),
         "verified": True,
     }

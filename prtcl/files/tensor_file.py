@@ -47,7 +47,9 @@ def read_tensors(
                 if name not in chosen:
                     continue
                 count = math.prod(shape)
-                if offset + count * dtype.itemsize > size:
+                # Beside a length of 0 the others are held to it as well: NumPy would refuse them, but not here.
+                room = math.prod(max(1, length) for length in shape) * dtype.itemsize
+                if room > size or offset + count * dtype.itemsize > size:
                     raise ValueError(f"field {name!r} of shape {shape} ends beyond the file's {size} bytes")
                 stream.seek(offset)
                 own = np.fromfile(stream, dtype, count=count).reshape(shape)

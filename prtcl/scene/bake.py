@@ -15,7 +15,7 @@ from prtcl.factors.visibility import Progress, Tracer
 from prtcl.files.atomic import replacing
 from prtcl.files.npz import read_npz
 from prtcl.scene import bake_store
-from prtcl.scene.bake_layout import LAYOUT, check, mesh_arrays, mesh_of, require_mesh
+from prtcl.scene.bake_layout import LAYOUT, check, mesh_arrays, mesh_of, require_mesh, text_of
 from prtcl.scene.mesh import Mesh, read_mesh
 from prtcl.scene.points import vertex_points
 
@@ -97,12 +97,14 @@ class Bake:
             raise InputError(
                 f"{name}: is no bake: {', '.join(sorted(missing))} missing; make one: prtcl bake"
             )
-        if data["format"].shape != () or data["format"] != FORMAT:
+        given = data["format"]
+        number = int(given) if given.shape == () and given.dtype.kind in "iu" else None
+        if number != FORMAT:
             raise InputError(
-                f"{name}: a bake of format {data['format']}; this prtcl reads format {FORMAT}: bake it again"
+                f"{name}: a bake of format {number or 'unknown'}; this prtcl reads format {FORMAT}: bake it again"
             )
         check(name, data)
-        own = mesh_of(str(data.get("name", "bake")), data)
+        own = mesh_of(text_of(name, data, "name") or "bake", data)
         own = own if mesh is None else require_mesh(name, own, mesh)
         return cls(own, data["bits"], int(data["rays"]))
 

@@ -72,6 +72,25 @@ def mesh_of(name: str, data: Mapping[str, npt.NDArray[Any]]) -> Mesh:
     )  # fmt: skip
 
 
+def text_of(name: str, data: Mapping[str, npt.NDArray[Any]], key: str) -> str:
+    """A text that a bake may hold, and "" where it does not.
+
+    Raises
+    ------
+    InputError
+        What is there is no text.
+    """
+    given = data.get(key, np.array(""))
+    try:
+        if given.shape != () or given.dtype.kind != "U":
+            raise ValueError
+        text = str(given)
+        text.encode()  # lone surrogates, which cannot be printed
+        return text
+    except (SystemError, ValueError) as error:  # the former for numbers that are no characters
+        raise InputError(f"{name}: {key} expected a text; the bake is damaged: make it again") from error
+
+
 def mesh_hash(mesh: Mesh) -> str:
     """SHA-256 of what visibility depends on: shapes and little-endian bytes of vertices, faces and normals, in hex."""
     assert mesh.normals is not None
@@ -124,7 +143,8 @@ def check(name: str, data: dict[str, npt.NDArray[Any]]) -> None:
     missing = LAYOUT.keys() - data.keys()
     if missing:
         raise InputError(f"{name}: is no bake: {', '.join(sorted(missing))} missing; make one: prtcl bake")
-    rays = int(data["rays"]) if data["rays"].shape == () else 0
+    given = data["rays"]
+    rays = int(given) if given.shape == () and given.dtype.kind == "i" else 0
     lengths = {"words": quadtree.visibility_words(rays) if 1 <= rays <= quadtree.MAX_LEVELS else -1}
     layout: dict[str, tuple[str, tuple[str | int, ...]]] = {**LAYOUT}
     layout |= {key: value for key, value in _OPTIONAL.items() if key in data}
