@@ -36,7 +36,7 @@ PIXELS, POINTS = 128, 8
 """Pixels at which bias is measured, and sub-pixel points of each."""
 AMONG = 64
 """Points of a pixel that those are drawn from."""
-SAMPLES = 1024
+SAMPLES = 512
 """Directions of the reference at each of them, at a time."""
 NOISY = 16
 """Points of a pixel, twice, that noise is measured of."""
@@ -60,12 +60,25 @@ class Noise:
     ----------
     squared : error of a mean of `NOISY` points, over the square of the mean of soft and hard light together
     seconds : of the wall that a point takes
+    took : seconds that measuring it took
     halves : (2, pixels, 3) means of as many points, of points apart
     """
 
     squared: Squared
     seconds: float
+    took: float
     halves: Array
+
+    def gathered(self, rate: float) -> float:
+        """Points that a picture takes whose pixels get them where the noise is, over those of all pixels alike.
+
+        Where a pixel's squared error goes as v N^(-1/rate), the sum of points N is least for a given sum of errors
+        if N ∝ v^p, p = rate / (1 + rate), and then ⟨v^p⟩^(1 + rate) / ⟨v⟩^rate of what it is with the same N for all.
+        """
+        each = ((self.halves[0] - self.halves[1]) ** 2).mean(axis=1)
+        power = rate / (1.0 + rate)
+        mean = each.mean()
+        return float((each**power).mean() ** (1.0 + rate) / mean**rate) if mean > 0.0 else 1.0
 
 
 class Pilot:
@@ -80,6 +93,7 @@ class Pilot:
     covered : pixels of the whole image that see the mesh, about
     points : `POINTS` of each pixel of the sample, but those that miss the mesh
     truth : (n, 3) float64 radiance of the points, noisy and without bias
+    sharpening : seconds that one `sharpen` takes
     """
 
     def __init__(self, scene: Scene, pixels: int = PIXELS) -> None:
@@ -116,9 +130,11 @@ class Pilot:
 
     def sharpen(self) -> None:
         """`SAMPLES` directions more at every point of `truth`."""
+        start = time.perf_counter()
         more = self._true(self.points, self._hits, SAMPLES)
         self.truth += (more - self.truth) / (self._runs + 1)
         self._runs += 1
+        self.sharpening = time.perf_counter() - start
 
     @property
     def mean(self) -> float:
@@ -182,16 +198,21 @@ class Pilot:
             Exposure(self.scene.device, self.scene.tracer, self.scene.camera),
         )
         films = [Film(size, self.pixels, half * MOST_HARD) for half in (0, 1)]
-        light(self.scene.tracer, self.points[:8])  # kernels built: they are no part of a point's time
+        few = self.points[: max(8, len(self.points) // 8)]
+        light(self.scene.tracer, few)  # kernels built: they are no part of a point's time
         start = time.perf_counter()
+        light(self.scene.tracer, few)
+        idle = time.perf_counter() - start
         for film in films:
             exposure.begin(
                 Layer(film, PixelShader(self.scene, light, Counter(None), "pilot"), NOISY, NOISY), NOISY
             )
-        seconds = (time.perf_counter() - start) / (2 * NOISY * len(self.pixels))
+        took = time.perf_counter() - start - idle
         halves = np.stack([film.mean() for film in films])
         apart = (halves[0] - halves[1]) / self.mean
-        return Noise(squared((apart**2).mean(axis=1) / 2.0), seconds, halves)
+        # A call costs more than its points, and an image's have more of them: what the first few took is taken off.
+        each = max(took / 2.0 - idle, 0.1 * took) / max(NOISY * len(self.pixels) - len(few), 1)
+        return Noise(squared((apart**2).mean(axis=1) / 2.0), each, took, halves)
 
 
 def searched(scene: Scene, rng: np.random.Generator) -> npt.NDArray[np.int64]:

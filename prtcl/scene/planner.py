@@ -65,13 +65,16 @@ def plan_pixels(scene: Scene, error: float, base: list[Settings], fixed: set[str
     allowed = (AIM * error) ** 2
     tried: list[_Tried] = []
 
-    def spare(share: float) -> bool:
-        """Whether so much of the pilot's time is left."""
+    def fits(ahead: float) -> bool:
+        """Whether a step of so many seconds fits into the pilot's time."""
         best = min((one.seconds for one in tried if one.seconds < math.inf), default=0.0)
-        return time.perf_counter() - start < share * max(SECONDS, SHARE * best)
+        return time.perf_counter() - start + ahead < max(SECONDS, SHARE * best)
 
     known = pilot.bias(radiance)
     for shift in _shifts(base, fixed, error):
+        # A level more has four times the rays; most of a point's time goes with them.
+        if any(one.seconds < math.inf for one in tried) and not fits(soft_base.took * 4.0 ** max(shift, 0)):
+            break
         own = [shifted(one, shift, "levels" in fixed) for one in base]
         soft = pilot.noise(pipelines(scene, own).soft) if shift else soft_base
         off = pilot.bias_beside(soft, soft_base)
@@ -81,10 +84,10 @@ def plan_pixels(scene: Scene, error: float, base: list[Settings], fixed: set[str
             seconds = math.inf
         own = [replace(one, hard_error=share, hard_points=begin) for one in own]
         tried.append(_Tried(own, off, soft.squared.value, seconds))
-        if seconds < math.inf and (seconds > min(one.seconds for one in tried) or not spare(0.7)):
+        if math.inf > seconds > min(one.seconds for one in tried):
             break
-    # What is left of the time tells the bias of all of them better.
-    while known.uncertain > 0.1 * allowed and spare(0.8):
+    # What is left of the time tells the bias of all of them better, until one standard error of it fits in beside AIM.
+    while known.uncertain > (AIM**-2 - 1.0) * allowed and fits(pilot.sharpening):
         pilot.sharpen()
         known = pilot.bias(radiance)
     best = min(tried, key=lambda one: one.seconds)
@@ -147,23 +150,26 @@ def shifted(one: Settings, shift: int, levels_fixed: bool) -> Settings:
 def _expected(covered: float, soft: Noise, hard: Noise | None, allowed: float) -> tuple[float, int, float]:
     """Share of hard light in a squared error of which `allowed` is left for both, its first points, and the seconds.
 
-    With points N ∝ (v / a)^RATE of each light, for its share a of the squared error, the sum of their costs is least
-    where a ∝ (t v^RATE)^(1 / (1 + RATE)).
+    With points N = c (v / a)^RATE of each light, for its share a of the squared error, the sum of their costs t N is
+    least where a ∝ (t c v^RATE)^(1 / (1 + RATE)). Here c is `Noise.gathered`: points go where the noise is.
     """
     if not allowed > 0.0:
         return 0.5, 16, math.inf
     lights = [soft] if hard is None else [soft, hard]
-    wants = [(own.seconds * own.squared.value**RATE) ** (1.0 / (1.0 + RATE)) for own in lights]
+    wants = [
+        (own.seconds * own.gathered(RATE) * own.squared.value**RATE) ** (1.0 / (1.0 + RATE)) for own in lights
+    ]
     share = min(max(wants[-1] / sum(wants), 0.1), 0.9) if hard is not None and sum(wants) > 0.0 else 0.5
     parts = (1.0,) if hard is None else (1.0 - share, share)
     points = [
         NOISY * (own.squared.value / (part * allowed)) ** RATE
         for own, part in zip(lights, parts, strict=True)
     ]
-    begin = 4 if hard is not None and points[1] < 8.0 else 16
+    # Four times more than the picture will have on average would be too many for most of its pixels.
+    begin = 4 if hard is not None and points[1] * hard.gathered(RATE) < 16.0 else 16
     seconds = 0.0
     for own, number, first, most in zip(lights, points, (FIRST, begin), (MOST, MOST_HARD), strict=False):
-        seconds += covered * own.seconds * max(number, first)
+        seconds += covered * own.seconds * max(number * own.gathered(RATE), first)
         if number > most:
             return share, begin, math.inf
     return share, begin, seconds
