@@ -50,13 +50,14 @@ def measured(name: str, tracer: visibility.Tracer, points: Points, levels: int) 
     def trace(every: bool) -> np.ndarray:  # type: ignore[type-arg]
         return tracer.visibility(points.origins, points.frames, levels, every=every)
 
-    alone = seconds(lambda: visibility._in_parallel(bare, len(world), visibility.RAYS_PER_TASK))
+    alone = seconds(lambda: visibility.in_parallel(bare, len(world), visibility.RAYS_PER_TASK))
     every, adaptive = seconds(lambda: trace(True)), seconds(lambda: trace(False))
-    exact, tracer.rays = trace(True), 0
+    exact, before = trace(True), tracer.rays
     wrong = np.unpackbits((trace(False) ^ exact).view(np.uint8)).mean()
+    traced = tracer.rays - before
     return {
         "mesh": name, "points": len(points), "cells": 4**levels, "bare_rays_per_second": count / alone,
-        "every_of_bare": alone / every, "rays_saved": count / tracer.rays, "wrong_bits": float(wrong),
+        "every_of_bare": alone / every, "rays_saved": count / traced, "wrong_bits": float(wrong),
         "times_faster": every / adaptive, "points_per_second": len(points) / adaptive,
     }  # fmt: skip
 

@@ -12,7 +12,7 @@ from prtcl import quadtree
 from prtcl.apps.demo_scene import build
 from prtcl.errors import InputError
 from prtcl.factors import refine
-from prtcl.factors.visibility import Tracer
+from prtcl.factors.visibility import RayCount, Tracer
 from prtcl.scene.points import vertex_points
 from prtcl.transport.settings import Settings
 
@@ -81,12 +81,12 @@ def test_against_every_ray_on_a_mesh(levels: int) -> None:
     mesh = build()
     tracer = Tracer(mesh.vertices, mesh.faces)
     points = vertex_points(mesh, tracer, only=np.arange(0, len(mesh.vertices), 101))
-    every = tracer.visibility(points.origins, points.frames, levels, every=True)
-    all_rays, tracer.rays = tracer.rays, 0
-    some = tracer.visibility(points.origins, points.frames, levels)
+    all_rays, own = RayCount(), RayCount()
+    every = tracer.visibility(points.origins, points.frames, levels, every=True, traced=all_rays)
+    some = tracer.visibility(points.origins, points.frames, levels, traced=own)
     wrong = np.unpackbits((every ^ some).view(np.uint8)).mean()
-    assert all_rays == len(points) * 4**levels
-    assert all_rays / tracer.rays > (2.5 if levels == 5 else 4.0)
+    assert all_rays.rays == len(points) * 4**levels and tracer.rays == all_rays.rays + own.rays
+    assert all_rays.rays / own.rays > (2.5 if levels == 5 else 4.0)
     assert wrong < 0.001
 
 

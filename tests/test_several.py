@@ -56,6 +56,13 @@ def test_alike_devices_give_the_bytes_of_one(
         count < 2 or {"inner_product"} <= other.profile.device_seconds().keys() or not other.profile.enabled
     )
     assert len(several.all) == 2 * 2 and len(several.light.hard) > 0
+    # Rays that the devices leave out of what they trace beside each other.
+    alone = pipelines(one, sky)
+    alone.radiance(tracer, points)
+    for name in ("rays", "horizon"):
+        left, of = np.sum([own.tally[name] for own in several.all], axis=0)
+        assert (left, of) == tuple(np.sum([own.tally[name] for own in alone.all], axis=0)) and 0 <= left <= of
+        assert count == 0 or of > 0
     bits = np.full((count, 2), 0x0F0F0F0F, dtype=np.uint32)
     np.testing.assert_array_equal(
         several.soft(tracer, points, bits), pipelines(one, sky).soft(tracer, points, bits)

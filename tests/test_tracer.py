@@ -215,7 +215,9 @@ def test_order_of_bits_and_padding(levels: int, monkeypatch: pytest.MonkeyPatch)
     tracer = Tracer(QUAD, QUAD_FACES)
     asked: list[NDArray[np.float32]] = []
 
-    def occluded(origins: NDArray[np.float32], directions: NDArray[np.float32]) -> NDArray[np.bool_]:
+    def occluded(
+        origins: NDArray[np.float32], directions: NDArray[np.float32], _: object
+    ) -> NDArray[np.bool_]:
         asked.append(directions)
         return np.asarray(directions[:, 0] + 0.3 * directions[:, 2] > 0)
 

@@ -34,6 +34,18 @@ def threads() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
+class RayCount:
+    """How many rays were traced, from all threads."""
+
+    def __init__(self) -> None:
+        self.rays = 0
+        self._adding = threading.Lock()
+
+    def add(self, rays: int) -> None:
+        with self._adding:
+            self.rays += rays
+
+
 class Tracer:
     """An embree scene of one mesh.
 
@@ -49,7 +61,7 @@ class Tracer:
     ----------
     vertex_reach, face_reach : (n,), (m,) float64: how far float32 moves the surface there along its normal, in
         units of 2**-24 of the unit sphere, see `origins`
-    rays : int, how many `occluded` has traced so far, from all threads; camera rays are not among them
+    count : of the rays that `occluded` has traced so far; camera rays are not among them
     """
 
     def __init__(self, vertices: npt.NDArray[np.float64], faces: npt.NDArray[np.int32]) -> None:
@@ -65,8 +77,12 @@ class Tracer:
         # Positions interpolated in world coordinates carry float64's rounding, which survey coordinates magnify.
         least = REACH[0] + 2.0**-27 * float(np.abs(self.centre).max()) / self.radius
         self.vertex_reach, self.face_reach = _reach(local, faces, least)
-        self.rays = 0
-        self._counting = threading.Lock()
+        self.count = RayCount()
+
+    @property
+    def rays(self) -> int:
+        """Rays that `occluded` has traced so far, whoever asked for them."""
+        return self.count.rays
 
     def _local(self, positions: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         return (np.asarray(positions, dtype=np.float64) - self.centre) / self.radius
@@ -91,14 +107,21 @@ class Tracer:
         return (self._local(positions) + away * normals).astype(np.float32)
 
     def occluded(
-        self, origins: npt.NDArray[np.float32], directions: npt.NDArray[np.float32]
+        self,
+        origins: npt.NDArray[np.float32],
+        directions: npt.NDArray[np.float32],
+        own: RayCount | None = None,
     ) -> npt.NDArray[np.bool_]:
-        """Whether each ray hits anything. `origins` as `origins()` gives them; both (n, 3) float32."""
+        """Whether each ray hits anything. `origins` as `origins()` gives them; both (n, 3) float32.
+
+        They are added to `count`, and to `own` if the caller counts its own beside those of others.
+        """
         hit = self._scene.run(
             np.ascontiguousarray(origins), np.ascontiguousarray(directions), query="OCCLUDED"
         )
-        with self._counting:
-            self.rays += len(origins)
+        for count in (self.count, own):
+            if count is not None:
+                count.add(len(origins))
         return np.asarray(hit >= 0)
 
     def intersect(
@@ -143,6 +166,7 @@ class Tracer:
         progress: Progress | None = None,
         *,
         every: bool = False,
+        traced: RayCount | None = None,
     ) -> npt.NDArray[np.uint32]:
         """Visibility bits of points, at one place in each cell of their hemisphere.
 
@@ -154,6 +178,7 @@ class Tracer:
         grid : (n,) int32, which `hemisphere.cell_offset` each point's rays take; None is the cell's centre
         progress : called with the number of points done, from worker threads
         every : trace all cells; otherwise, from 4**5 cells on, those alone that `refine` needs
+        traced : counts the rays of this call alone
 
         Returns
         -------
@@ -174,14 +199,14 @@ class Tracer:
             )
             world, own = np.matmul(local, frames[part]), origins[part]
             if every or levels < refine.FROM:
-                hidden = self.occluded(np.repeat(own, count, axis=0), world.reshape(-1, 3))
+                hidden = self.occluded(np.repeat(own, count, axis=0), world.reshape(-1, 3), traced)
                 seen = ~hidden.reshape(-1, count)
             else:
                 rays = world.reshape(-1, 3)
                 seen = refine.visibility(
                     len(own), levels,
                     lambda point, sample: ~self.occluded(
-                        np.take(own, point, axis=0), np.take(rays, point * count + sample, axis=0)
+                        np.take(own, point, axis=0), np.take(rays, point * count + sample, axis=0), traced
                     ),
                 )  # fmt: skip
             bits[part] = pack(seen, words)
@@ -200,6 +225,7 @@ class Tracer:
         runs: npt.NDArray[np.integer] | None = None,
         *,
         horizon: bool = True,
+        traced: RayCount | None = None,
     ) -> npt.NDArray[np.uint32]:
         """Which of some world directions each point sees; those below its horizon it does not.
 
@@ -210,6 +236,7 @@ class Tracer:
         runs : (m,) ascending from 0, where runs of neighbouring directions begin. Of a run the first, the middle and
             the last are traced, the others only where those three differ. None traces all.
         horizon : leave out the rays of those below it
+        traced : counts the rays of this call alone
 
         Returns
         -------
@@ -232,7 +259,7 @@ class Tracer:
 
             def trace(which: npt.NDArray[np.bool_]) -> None:
                 point, light = np.nonzero(which)
-                visible[point, light] = ~self.occluded(origins[part][point], towards[light])
+                visible[point, light] = ~self.occluded(origins[part][point], towards[light], traced)
 
             trace((above if horizon else np.ones_like(above)) & probe)
             visible &= above

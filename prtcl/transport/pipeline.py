@@ -17,7 +17,7 @@ from prtcl.factors.environment import Environment, Light
 from prtcl.factors.material import Material
 from prtcl.factors.slices import Materials, ViewTable
 from prtcl.factors.stored import SliceStore
-from prtcl.factors.visibility import Progress, Tracer, sees_all
+from prtcl.factors.visibility import Progress, RayCount, Tracer, sees_all
 from prtcl.transport import collapse, shade
 from prtcl.transport.leave_out import Tally
 from prtcl.transport.settings import Settings
@@ -113,13 +113,14 @@ class Pipeline:
         return stages
 
     def visibility(
-        self, tracer: Tracer, points: Points, progress: Progress | None = None
+        self, tracer: Tracer, points: Points, progress: Progress | None = None, traced: RayCount | None = None
     ) -> npt.NDArray[np.uint32]:
-        """Visibility bits of the points at `settings.rays`: (n, words) uint32."""
+        """Visibility bits of the points at `settings.rays`: (n, words) uint32; `traced` counts the rays."""
         with self.device.profile.host("visibility_rays"):
             return tracer.visibility(
                 points.origins, points.frames, self.settings.rays, points.grid, progress=progress,
                 every=self.settings.visibility == "every" or not self.settings.leaves("rays"),
+                traced=traced,
             )  # fmt: skip
 
     def soft(
@@ -141,11 +142,13 @@ class Pipeline:
         fetched: tuple[Source, Callable[[], Any]] | None = None
         for part in self.slices.parts(keys, size):
             some = points[part]
-            before = tracer.rays
-            seen = self.visibility(tracer, some, progress) if bits is None else bits[part]
             if bits is None:
-                every = len(some) * quadtree.n_samples(self.settings.rays)
-                self.tally.add("rays", every - (tracer.rays - before), every)
+                # Its own count: other devices' pipelines trace beside this one.
+                traced, every = RayCount(), len(some) * quadtree.n_samples(self.settings.rays)
+                seen = self.visibility(tracer, some, progress, traced)
+                self.tally.add("rays", every - traced.rays, every)
+            else:
+                seen = bits[part]
             source = self._needed(part, some, seen)
             if source.rows is not None:
                 some, seen, part = some[source.rows], seen[source.rows], part[source.rows]
@@ -212,13 +215,13 @@ class Pipeline:
             return out
         for part in chunks(len(points), HARD_CHUNK):
             some = points[part]
-            before, every = tracer.rays, len(some) * len(self.light.hard)
+            traced, every = RayCount(), len(some) * len(self.light.hard)
             with self.device.profile.host("hard_light_rays"):
                 seen = tracer.light_visibility(
                     some.origins, some.frames[:, 2], self.light.hard[:, :3], progress,
-                    horizon=self.settings.leaves("horizon"),
+                    horizon=self.settings.leaves("horizon"), traced=traced,
                 )  # fmt: skip
-            self.tally.add("horizon", every - (tracer.rays - before), every)
+            self.tally.add("horizon", every - traced.rays, every)
             radiance = self.device.array(np.zeros((len(some), 4)))
             shade.add_hard_radiance(
                 self.device,
