@@ -1,5 +1,5 @@
 # make demo     a first render, into demo-output/
-# make test     the tests, on every OpenCL device of the machine; ARGS='-k haar -x' goes to pytest
+# make test     the tests, on every OpenCL device of the machine, on all cores; ARGS='-k haar -x -n 0' goes to pytest
 # make lint     ruff and mypy
 # make clean    remove what these made, except the virtual environment; make distclean removes that as well
 #
@@ -14,7 +14,7 @@ demo: linker $(VENV)/.installed-demo
 	$(BIN)/prtcl demo -o demo-output
 
 test: linker $(VENV)/.installed-test
-	PRTCL_REQUIRE_DEVICE=1 $(BIN)/python -m pytest $(ARGS)
+	PRTCL_REQUIRE_DEVICE=1 $(BIN)/python -m pytest -n auto --dist worksteal $(ARGS)
 
 lint: $(VENV)/.installed-lint
 	$(BIN)/ruff check .
