@@ -8,11 +8,15 @@ from the two is the square of its error, without their noise. A fixed setting is
 that the film's own estimate is refined to or a number of points that all pixels get; the best is the fastest whose
 true error is no more than what was asked. Times are the wall's, of `Scene.render`, pilot and audits included; the
 scene's BVH and the split of its light, the same for all, are made before.
+
+All fixed settings take most of an hour. `--beside` takes the best ones that such a run found and times these alone
+again, so that a plan and what it is held against are of one run.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import time
 from pathlib import Path
 
@@ -69,6 +73,9 @@ def main() -> None:
     parser.add_argument("--errors", type=float, nargs="+", default=ERRORS)
     parser.add_argument("--only", type=int, nargs="+", help="numbers of scenes, from 0")
     parser.add_argument("--no-fixed", action="store_true", help="plans alone")
+    parser.add_argument(
+        "--beside", type=Path, help="a result whose best fixed settings alone are timed again"
+    )
     options = parser.parse_args()
     scenes.require_data()
     device, rows, frontier = Device(), [], []
@@ -84,7 +91,7 @@ def main() -> None:
     scenes.save(
         options.output, device=device.name, size=options.size, rows=rows, scenes=frontier,
         command=f"python bench/plan.py --size {options.size[0]}x{options.size[1]} --spp {options.spp}"
-        + (" --no-fixed" if options.no_fixed else ""),
+        + (" --no-fixed" if options.no_fixed else "") + (" --beside RESULT" if options.beside else ""),
     )  # fmt: skip
 
 
@@ -101,7 +108,15 @@ def one_scene(device: Device, mesh: str, environment: str, spec: str, options: a
 
     truth = Truth(made(), options.spp)
     made().render(samples=1)  # kernels built, light split
-    fixed = [] if options.no_fixed else list(frontier(made, truth, min(options.errors)))
+    if options.beside is not None:
+        earlier = json.loads(options.beside.read_text())["scenes"]
+        known = next(own["fixed"] for own in earlier if (own["mesh"], own["environment"], own["material"]) ==
+                     (mesh, environment, spec))  # fmt: skip
+        best = {error: best_of(known, error) for error in options.errors}
+        fixed = again(made, truth, [own for own in best.values() if own is not None])
+    else:
+        fixed = [] if options.no_fixed else list(frontier(made, truth, min(options.errors)))
+        best = {error: best_of(fixed, error) for error in options.errors}
     rows = []
     for error in options.errors:
         scene = made()
@@ -114,8 +129,9 @@ def one_scene(device: Device, mesh: str, environment: str, spec: str, options: a
         seconds = time.perf_counter() - start
         plan = render.plan
         assert plan is not None
-        good = [own for own in fixed if own["error"] <= error]
-        best = min(good, key=lambda own: own["seconds"]) if good else None
+        beside = best[error]
+        if beside is not None:
+            beside = next(own for own in fixed if settings_of(own) == settings_of(beside))
         rows.append(
             {
                 "asked": error, "predicted": plan.predicted, "true": truth.error(render.image), "seconds": seconds,
@@ -124,10 +140,31 @@ def one_scene(device: Device, mesh: str, environment: str, spec: str, options: a
                 "rays": plan.settings[0].rays, "levels": plan.settings[0].levels,
                 "pixel_error": plan.settings[0].pixel_error, "hard_error": plan.settings[0].hard_error,
                 "points_per_pixel": render.report["points_per_pixel"], "audits": render.report["plan"]["audits"],
-                "best_fixed": best,
+                "best_fixed": beside,
             }
         )  # fmt: skip
     return rows, fixed
+
+
+def best_of(fixed: list[dict], error: float) -> dict | None:  # type: ignore[type-arg]
+    """The fastest that errs by no more than that."""
+    good = [own for own in fixed if own["error"] <= error]
+    return min(good, key=lambda own: own["seconds"]) if good else None
+
+
+def settings_of(found: dict) -> dict:  # type: ignore[type-arg]
+    """What was fixed."""
+    return {key: value for key, value in found.items() if key not in ("seconds", "error")}
+
+
+def again(made, truth: Truth, found: list[dict]):  # type: ignore[no-untyped-def, type-arg]
+    """Some settings once more, each once."""
+    out: list[dict] = []  # type: ignore[type-arg]
+    for own in map(settings_of, found):
+        if all(settings_of(other) != own for other in out):
+            by_hand = {key: value for key, value in own.items() if key != "samples"}
+            out.append(timed(made(**by_hand), truth, own, samples=own.get("samples")))
+    return out
 
 
 def frontier(made, truth: Truth, least: float):  # type: ignore[no-untyped-def]

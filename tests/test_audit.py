@@ -98,3 +98,30 @@ def test_pixels_that_have_all_their_points_are_not_drawn() -> None:
     found = audit(drawn, [layer], np.random.default_rng(8))  # type: ignore[arg-type]
     assert (layer.film.points == 1024).all()
     assert found.ratio == 1.0
+    # What they err is then what the film says, which is σ²/n.
+    assert abs(found.error - np.sqrt(1.0 / 1024)) < 0.1 / 32
+
+
+def test_pixels_beside_the_covered_ones_count() -> None:
+    """Of an edge that covers a fifth of a pixel, four points may see nothing: the picture errs there all the same."""
+    edge = 8
+    width, height = SIZE
+    drawn, film = Drawn(None), Film(SIZE)
+    layer = Layer(film, None, 4, 1024)  # type: ignore[arg-type]
+
+    def expose(own: Layer, pixels: NDArray[np.int64], first: int, last: int) -> None:
+        x, _ = stratified(np.tile(np.arange(first, last), len(pixels)))
+        column = np.repeat(pixels % width, last - first)
+        # Its share differs from row to row, around the fifth.
+        share = 0.2 + 0.1 * np.sin(np.repeat(pixels // width, last - first))
+        hit = np.flatnonzero((column < edge) | ((column == edge) & (x < share)))
+        own.film.add(pixels, first, last, hit, np.ones((len(hit), 3)))
+
+    drawn._expose = expose  # type: ignore[method-assign]
+    drawn.begin(layer, 4)
+    covered = film.coverage() > 0
+    wanted = np.where(film.pixels % width < edge, 1.0, 0.0)
+    wanted[film.pixels % width == edge] = 0.2 + 0.1 * np.sin(np.arange(height))
+    true = np.sqrt(((film.mean()[:, 0] - wanted) ** 2).sum() / covered.sum())
+    found = audit(drawn, [layer], np.random.default_rng(9))  # type: ignore[arg-type]
+    assert 0.5 < found.error / true < 2.0

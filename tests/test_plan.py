@@ -19,6 +19,7 @@ from prtcl.files.image import read_image
 from prtcl.scene.bake import Bake
 from prtcl.scene.camera import Camera
 from prtcl.scene.mesh import Mesh
+from prtcl.scene.pilot import Noise, Squared, likely, told
 from prtcl.scene.plan import Plan
 from prtcl.scene.planner import confidence
 from prtcl.scene.scene import Render, Scene
@@ -197,6 +198,22 @@ def test_what_is_fixed_by_hand_stays(device: Device, mesh: Mesh, sky: Environmen
     assert len(plan.trials) == 1
 
 
+def test_what_cannot_be_told_from_nothing_counts_little() -> None:
+    for own in (told, likely):
+        assert [own(Squared(*known)) for known in ((4.0, 0.0), (-1.0, 2.0), (0.0, 0.0))] == [4.0, 0.0, 0.0]
+    assert likely(Squared(1.0, 1.0)) == 0.5 and likely(Squared(1.0, 3.0)) == 0.1
+    assert told(Squared(1.0, 0.4)) == 1.0 and told(Squared(1.0, 0.6)) == 0.0
+
+
+@pytest.mark.parametrize("light", ["even", "all at one place"])
+def test_points_go_where_the_noise_is(light: str) -> None:
+    """Of pixels whose squared errors fall as 1 / N: alike they save nothing, a hundredth of them all but that."""
+    halves = np.zeros((2, 100, 3))
+    halves[0, : 100 if light == "even" else 1] = 0.1
+    noise = Noise(Squared(0.0, 0.0), 0.0, 0.0, halves)
+    assert abs(noise.gathered(1.0) - (1.0 if light == "even" else 0.01)) < 1e-12
+
+
 def test_confidence_is_that_of_a_normal_error() -> None:
     assert confidence(0.01, 1e-4, 1e-5) == 0.5
     assert abs(confidence(0.01, 1e-4 - 1e-5, 1e-5) - 0.8413) < 1e-4
@@ -230,6 +247,24 @@ def test_a_plan_from_before_is_steered(device: Device, mesh: Mesh, sky: Environm
     assert not plan.steered
     render = made.render(plan=plan)
     assert render.plan is not None and render.plan.steered and render.report["plan"]["audits"] > 0
+
+
+def test_what_a_plan_says_is_doubted_elsewhere(
+    device: Device, mesh: Mesh, sky: Environment, planned: Render
+) -> None:
+    """Another scene, or something fixed by hand in its place: what the picture errs is then not known."""
+    plan = planned.plan
+    assert plan is not None and planned.report["plan"]["doubt"] is None
+    rays = plan.settings[0].rays
+
+    def doubt(spec: str = GLOSSY, samples: int | None = None, **settings: Any) -> str | None:
+        report = scene(device, mesh, sky, spec, **settings).render(plan=plan, samples=samples).report
+        return report["plan"]["doubt"]
+
+    assert doubt() is None and doubt(rays=rays) is None
+    assert "for the materials" in (doubt("ggx:alpha=0.2,f0=0.5") or "")
+    for by_hand in (doubt(samples=1), doubt(rays=rays - 1)):
+        assert by_hand is not None and "by hand" in by_hand
 
 
 def test_a_plan_is_kept_in_a_file(planned: Render, tmp_path: Path) -> None:

@@ -112,6 +112,20 @@ def test_files_are_whole_and_stand_alone(run: Run, tmp_path: Path, monkeypatch: 
     assert str(tmp_path) not in text  # a report is shown to others
 
 
+@pytest.mark.usefixtures("small")
+def test_where_the_error_is_refused_the_rest_is_told(
+    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(measure, "SHIFTS", (0,))
+    monkeypatch.setattr(measure, "FINER", (0,))
+    monkeypatch.setattr(measure, "FINEST", Settings(levels=5, rays=4, keep=5, views=64))
+    ran = run("--brdf", "lambert:albedo=0.5", "--error", "0.00001")
+    assert ran.status == 0 and "refused" in ran.out and len(ran.out.splitlines()) == 2, ran.err
+    plan = json.loads((tmp_path / "out" / "report.json").read_text())["materials"][0]["plan"]
+    assert "no setting that was tried meets it" in plan["refused"] and 0.0 < plan["found"] < 0.1
+    assert "no setting that was tried meets it" in (tmp_path / "out" / "report.html").read_text()
+
+
 def test_names_cannot_break_the_page() -> None:
     result = {
         "mesh": "<script>alert(1)</script>", "environment": "a'b\"", "device": "d", "size": [1, 1], "date": "",

@@ -49,7 +49,10 @@ def run(options: argparse.Namespace) -> int:
     render.save(options.output, png=preview, exposure=options.exposure, error=options.error_channel)
     if options.save_plan is not None and render.plan is not None:
         render.plan.save(options.save_plan)
-    if render.plan is not None and render.plan.predicted > render.plan.asked:
+    doubt = render.report.get("plan", {}).get("doubt")
+    if doubt is not None:
+        print(f"prtcl render: what this picture errs is not known: {doubt}", file=sys.stderr)
+    elif render.plan is not None and render.plan.predicted > render.plan.asked:
         print(
             f"prtcl render: the error asked for was not reached: {render.plan.asked:g} asked, about "
             f"{render.plan.predicted:.2g} found",
@@ -69,7 +72,10 @@ def summary(render: Render, output: str) -> str:
     report = render.report
     height, width = render.image.shape[:2]
     points = sum(report["points_shaded"].values())
-    error = "" if render.plan is None else f"expected error {100 * render.plan.predicted:.2g} %, "
+    error = ""
+    if render.plan is not None and report["plan"]["doubt"] is None:
+        plan = render.plan
+        error = f"expected error {100 * plan.predicted:.2g} % ({100 * plan.confidence:.0f} % confidence), "
     return (
         f"{output}: {width}x{height}, {points} points, {report['rays'] / 1e6:.1f} M rays, {error}"
         f"{report['seconds']['total']:.1f} s on {report['device']}"

@@ -87,13 +87,15 @@ class Film:
         A pixel takes a quarter of the largest estimate among its neighbours if that is more, for what its own
         first points may have missed. Pixels of a film that has not all of them stand alone.
         """
+        return np.maximum(self._variance, 0.25 * self.around(self._variance))
+
+    def around(self, values: Array) -> Array:
+        """(pixels,) the largest of a pixel's values and its neighbours'; its own if the film has not all pixels."""
         if not self._whole:
-            return self._variance
-        grid = np.pad(self._variance.reshape(self.height, self.width), 1)
-        around = np.max(
-            [grid[i : i + self.height, j : j + self.width] for i in range(3) for j in range(3)], axis=0
-        )
-        return np.maximum(self._variance, 0.25 * around.ravel())
+            return values
+        grid = np.pad(values.reshape(self.height, self.width), 1)
+        shifts = [grid[i : i + self.height, j : j + self.width] for i in range(3) for j in range(3)]
+        return np.asarray(np.max(shifts, axis=0).ravel())
 
     def worst(self, allowed: float) -> npt.NDArray[np.int64]:
         """The fewest pixels, largest estimate first, whose repair leaves a sum of `variance` below `allowed`."""

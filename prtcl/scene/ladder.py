@@ -16,14 +16,16 @@ import numpy as np
 import numpy.typing as npt
 
 from prtcl.errors import InputError
-from prtcl.scene.pilot import Squared, squared, told
+from prtcl.scene.pilot import Squared, likely, squared, told
 from prtcl.scene.plan import Trial
 from prtcl.scene.planner import root
 
 Array = npt.NDArray[np.float64]
 Candidate = TypeVar("Candidate")
 
-RUNS = 2
+SAMPLES = 1024
+"""Directions of a noisy reference at each point, at a time."""
+RUNS = 4
 """Times that the reference is made anew, at most, in halves, until it tells enough."""
 ENOUGH = 0.3
 """Of the squared error allowed, what one standard error of the finest settings' may be."""
@@ -80,8 +82,8 @@ def coarsest(
         last = candidate == candidates[-1]
         got, takes = (fine, seconds) if last else _timed(shade, candidate, points)
         off = squared(((got - fine) ** 2).mean(axis=1) / mean**2)
-        whole = Squared(told(known) + off.value, known.uncertain + off.uncertain)
-        met = whole.value <= error**2
+        whole = Squared(likely(known) + off.value, known.uncertain + off.uncertain)
+        met = told(known) + off.value <= error**2
         trials.append(
             Trial(name(candidate), root(whole.value), root(whole.uncertain), 0.0, takes if met else None)
         )

@@ -229,8 +229,17 @@ def squared(each: Array) -> Squared:
 
 
 def told(known: Squared) -> float:
-    """What the reference cannot tell from nothing is not held against settings; it counts as uncertain."""
+    """What is held against settings: what the reference cannot tell from nothing is not."""
     return known.value if known.value > 2.0 * known.uncertain else 0.0
+
+
+def likely(known: Squared) -> float:
+    """What is expected where an estimate may be noise: of a value v known to σ, v / (1 + (σ / v)²).
+
+    As of a signal of which v² is the power and σ² the noise's.
+    """
+    value = max(known.value, 0.0)
+    return value**3 / (value**2 + known.uncertain**2) if value > 0.0 else 0.0
 
 
 def pipelines(scene: Scene, settings: list[Settings], device: Device | None = None) -> Pipelines:

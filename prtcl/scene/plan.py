@@ -66,7 +66,7 @@ class Plan:
     steered : whether `pixel_error` and `noise_ratio` come from an image rendered with this plan, and not from the
         pilot alone
     trials : the candidates
-    scene : names of mesh, environment and materials, for messages
+    scene : names of mesh, environment and materials
     device : that times were measured on
     """
 
@@ -84,6 +84,19 @@ class Plan:
     trials: tuple[Trial, ...] = ()
     scene: dict[str, Any] = field(default_factory=dict)
     device: str = ""
+
+    def doubt(self, scene: dict[str, Any], by_hand: bool) -> str | None:
+        """Why a picture need not err by what is `predicted`, in words; None where it should.
+
+        Parameters
+        ----------
+        scene : names of the picture's mesh, environment and materials
+        by_hand : whether something in place of the plan's was fixed for it
+        """
+        for name, was in self.scene.items():
+            if scene[name] != was:
+                return f"the plan was made for the {name} {was}"
+        return "something was fixed by hand in place of the plan's" if by_hand else None
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write JSON, aside and then renamed."""

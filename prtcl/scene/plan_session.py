@@ -21,11 +21,10 @@ from prtcl.factors.environment import Environment
 from prtcl.factors.material import Material
 from prtcl.factors.visibility import Tracer
 from prtcl.scene.camera import Triple
-from prtcl.scene.ladder import coarsest
+from prtcl.scene.ladder import SAMPLES, coarsest
 from prtcl.scene.mesh import Mesh
-from prtcl.scene.pilot import SAMPLES
 from prtcl.scene.plan import Trial, check_error
-from prtcl.scene.planner import AIM, confidence
+from prtcl.scene.planner import AIM, confidence, noise_left
 from prtcl.scene.points import back_origins, vertex_points
 from prtcl.transport.edit import Relit
 from prtcl.transport.truth import Truth
@@ -104,7 +103,7 @@ def plan_session(
         shade, lambda: truth.radiance(points, SAMPLES, rng), RESOLUTION * AIM * error, len(facing),
         "ask for more, or fix --levels and --rays by hand",
     )  # fmt: skip
-    cuts = math.sqrt((AIM * error) ** 2 - found.squared.value)
+    cuts = math.sqrt(noise_left(error, found.squared.value))
     whole = found.squared.value + cuts**2
     return SessionPlan(
         error, *found.candidate, cuts, math.sqrt(whole),

@@ -11,8 +11,8 @@ import numpy.typing as npt
 
 from prtcl import quadtree
 from prtcl.factors.visibility import Tracer
-from prtcl.scene.ladder import coarsest
-from prtcl.scene.pilot import SAMPLES, pipelines, searched
+from prtcl.scene.ladder import SAMPLES, coarsest
+from prtcl.scene.pilot import pipelines, searched
 from prtcl.scene.plan import Plan
 from prtcl.scene.planner import AIM, finished, shifted
 from prtcl.scene.points import shoot, vertex_points, with_eye

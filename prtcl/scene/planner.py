@@ -21,7 +21,7 @@ from prtcl import quadtree
 from prtcl.errors import InputError
 from prtcl.scene.adapt import MOST, MOST_HARD
 from prtcl.scene.film import FIRST
-from prtcl.scene.pilot import NOISY, Noise, Pilot, Squared, pipelines, told
+from prtcl.scene.pilot import NOISY, Noise, Pilot, Squared, likely, pipelines, told
 from prtcl.scene.plan import Plan, Trial
 from prtcl.transport.settings import Settings
 
@@ -37,6 +37,8 @@ SECONDS, SHARE = 2.0, 0.1
 """What a pilot may take: seconds, or a share of the job where that is more."""
 STAYS = 0.4
 """Of the squared error, what the bias of fewer rays than usual may be: more, and it is points that the rest takes."""
+GLINTS = 64
+"""Points of hard light that every pixel would need, from which a picture begins with sixteen of them, not four."""
 GUESS = 0.15
 """Squared error over what a film estimates, until an audit has measured it; most pictures have more."""
 
@@ -64,43 +66,60 @@ def plan_pixels(scene: Scene, error: float, base: list[Settings], fixed: set[str
     hard = pilot.noise(made.hard) if len(made.light.hard) else None
     allowed = (AIM * error) ** 2
     tried: list[_Tried] = []
-
-    def fits(ahead: float) -> bool:
-        """Whether a step of so many seconds fits into the pilot's time."""
-        best = min((one.seconds for one in tried if one.seconds < math.inf), default=0.0)
-        return time.perf_counter() - start + ahead < max(SECONDS, SHARE * best)
-
     known = pilot.bias(radiance)
+
+    def price(one: _Tried) -> tuple[float, int, float]:
+        """Share of hard light, its first points, and seconds of the job, with what is known of the bias so far."""
+        left = stays(known, one.off)
+        share, begin, seconds = _expected(pilot.covered, one.soft, hard, allowed - left)
+        return share, begin, math.inf if one.shift < 0 and left > STAYS * allowed else seconds
+
+    def fits(ahead: float, share: float = 1.0) -> bool:
+        """Whether a step of so many seconds fits into a share of the pilot's time."""
+        best = min(filter(math.isfinite, (price(one)[2] for one in tried)), default=0.0)
+        return time.perf_counter() - start + ahead < share * max(SECONDS, SHARE * best)
+
+    def sharpen(share: float) -> Squared:
+        """The bias told better, until one standard error of it fits in beside `AIM`."""
+        better = known
+        while better.uncertain > (AIM**-2 - 1.0) * allowed and fits(pilot.sharpening, share):
+            pilot.sharpen()
+            better = pilot.bias(radiance)
+        return better
+
+    known = sharpen(0.5)
     for shift in _shifts(base, fixed, error):
-        # A level more has four times the rays; most of a point's time goes with them.
-        if any(one.seconds < math.inf for one in tried) and not fits(soft_base.took * 4.0 ** max(shift, 0)):
+        found = [seconds for _, _, seconds in map(price, tried) if math.isfinite(seconds)]
+        # More rays than usual are for what these cannot meet: they take four times as long.
+        if found and (shift > 0 or found[-1] > min(found) or not fits(soft_base.took)):
             break
         own = [shifted(one, shift, "levels" in fixed) for one in base]
         soft = pilot.noise(pipelines(scene, own).soft) if shift else soft_base
-        off = pilot.bias_beside(soft, soft_base)
-        left = stays(known, off)
-        share, begin, seconds = _expected(pilot.covered, soft, hard, allowed - left)
-        if shift < 0 and left > STAYS * allowed:
-            seconds = math.inf
-        own = [replace(one, hard_error=share, hard_points=begin) for one in own]
-        tried.append(_Tried(own, off, soft.squared.value, seconds))
-        if math.inf > seconds > min(one.seconds for one in tried):
-            break
-    # What is left of the time tells the bias of all of them better, until one standard error of it fits in beside AIM.
-    while known.uncertain > (AIM**-2 - 1.0) * allowed and fits(pilot.sharpening):
-        pilot.sharpen()
-        known = pilot.bias(radiance)
-    best = min(tried, key=lambda one: one.seconds)
-    bias = Squared(stays(known, best.off), math.hypot(known.uncertain, best.off.uncertain))
-    if not (best.seconds < math.inf and bias.value < allowed):
-        raise InputError(
-            f"error {error:g}: no setting that was tried meets it: about {root(bias.value):.2g} stays however many "
-            "points a pixel gets\nask for more, or fix --levels and --rays by hand"
+        tried.append(_Tried(shift, own, pilot.bias_beside(soft, soft_base), soft))
+    known = sharpen(1.0)
+    prices = [price(one) for one in tried]
+    best, (share, begin, seconds) = min(zip(tried, prices, strict=True), key=lambda pair: pair[1][2])
+    if not math.isfinite(seconds):
+        least = min(stays(known, one.off) for one in tried)
+        reason = (
+            f"about {root(least):.2g} stays however many points a pixel gets"
+            if least >= allowed
+            else f"a pixel would need more than {MOST} points of soft light or {MOST_HARD} of hard light"
         )
-    noise = allowed - bias.value
-    settings = [replace(one, pixel_error=math.sqrt(noise / GUESS)) for one in best.settings]
-    trials = tuple(one.told() for one in tried)
-    return finished(scene, error, settings, "pixel", bias, noise, best.seconds, start, trials)
+        raise InputError(
+            f"error {error:g}: no setting that was tried meets it: {reason}\n"
+            "ask for more, or fix --levels and --rays by hand"
+        )
+    bias = Squared(
+        stays(known, best.off) - told(known) + likely(known), math.hypot(known.uncertain, best.off.uncertain)
+    )
+    noise = noise_left(error, bias.value)
+    settings = [
+        replace(one, pixel_error=math.sqrt(noise / GUESS), hard_error=share, hard_points=begin)
+        for one in best.settings
+    ]
+    trials = tuple(one.told(seconds) for one, (_, _, seconds) in zip(tried, prices, strict=True))
+    return finished(scene, error, settings, "pixel", bias, noise, seconds, start, trials)
 
 
 @dataclass(frozen=True)
@@ -109,20 +128,20 @@ class _Tried:
 
     Attributes
     ----------
+    shift : its levels of rays beyond the base's
     off : its bias beside the base settings'
-    noise : of `NOISY` points of soft light, squared
-    seconds : the job's
+    soft : noise of its soft light; hard light's is the same for all
     """
 
+    shift: int
     settings: list[Settings]
     off: Squared
-    noise: float
-    seconds: float
+    soft: Noise
 
-    def told(self) -> Trial:
+    def told(self, seconds: float) -> Trial:
         return Trial(
             f"4^{max(one.rays for one in self.settings)} rays", root(self.off.value), root(self.off.uncertain),
-            root(self.noise), self.seconds if math.isfinite(self.seconds) else None,
+            root(self.soft.squared.value), seconds if math.isfinite(seconds) else None,
         )  # fmt: skip
 
 
@@ -135,8 +154,17 @@ def _shifts(base: list[Settings], fixed: set[str], error: float) -> list[int]:
     return [shift for shift in order if finest + shift >= LEAST_RAYS]
 
 
+def noise_left(error: float, bias: float) -> float:
+    """Squared error that want of points may have beside a squared bias: half of all or more, were that told badly."""
+    allowed = (AIM * error) ** 2
+    return max(allowed - bias, 0.5 * allowed)
+
+
 def stays(known: Squared, off: Squared) -> float:
-    """Squared bias of settings that stand `off` from others whose own is `known`, on the safe side."""
+    """Squared bias of settings that stand `off` from others whose own is `known`.
+
+    As if the two had nothing to do with each other; `off` on the safe side.
+    """
     return told(known) + max(off.value, 0.0) + off.uncertain
 
 
@@ -165,8 +193,8 @@ def _expected(covered: float, soft: Noise, hard: Noise | None, allowed: float) -
         NOISY * (own.squared.value / (part * allowed)) ** RATE
         for own, part in zip(lights, parts, strict=True)
     ]
-    # Four times more than the picture will have on average would be too many for most of its pixels.
-    begin = 4 if hard is not None and points[1] * hard.gathered(RATE) < 16.0 else 16
+    # Four points that all miss a glint say nothing of it; where alike pixels would need many there are glints.
+    begin = 4 if hard is not None and points[1] < GLINTS else 16
     seconds = 0.0
     for own, number, first, most in zip(lights, points, (FIRST, begin), (MOST, MOST_HARD), strict=False):
         seconds += covered * own.seconds * max(number * own.gathered(RATE), first)
@@ -201,10 +229,7 @@ def finished(
         bias_uncertain=root(bias.uncertain), predicted=math.sqrt(squared),
         confidence=confidence(error, squared, uncertain), seconds=seconds,
         pilot_seconds=time.perf_counter() - start, trials=trials, device=scene.device.name,
-        scene={
-            "mesh": scene.mesh.name, "environment": scene.environment.name,
-            "materials": [own.spec for own in scene.materials],
-        },
+        scene=scene.names,
     )  # fmt: skip
 
 

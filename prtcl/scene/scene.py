@@ -212,9 +212,13 @@ class Scene:
             device.profile.reset()
         check_eye(self.tracer, self.mesh, self.camera)
         vertex = points == "vertex" or self.bake is not None
-        rays = self.tracer.rays
         if plan is None and error is not None:
-            plan = self._plan(error, vertex)
+            plan, given = self._plan(error, vertex), False
+            for device in self.devices:  # what follows is the picture's alone
+                device.profile.reset()
+        else:
+            given = plan is not None
+        rays = self.tracer.rays
         # Settings that no error was asked of have no level that a material could do without.
         self.settings, self.fitted = (
             (self.choose_settings(vertex), {})
@@ -247,7 +251,16 @@ class Scene:
         rays = self.tracer.rays - rays
         report = render_report(self, pipeline, layers, count, vertex, rays, time.perf_counter() - start)
         if plan is not None:
-            report["plan"] = {**plan.summary(), "audits": 0 if steered is None else steered.audits}
+            by_hand = samples is not None or any(
+                own != used for own, (used, _) in zip(plan.settings, self._planned(plan, vertex), strict=True)
+            )
+            report["plan"] = {
+                **plan.summary(),
+                "audits": 0 if steered is None else steered.audits,
+                "doubt": plan.doubt(self.names, by_hand) if given and steered is None else None,
+            }
+            if not given:
+                report["seconds"]["pilot"] = round(plan.pilot_seconds, 4)
         width, height = self.camera.size
         picture = colours(layers)
         error_picture = expected_error(layers, picture, plan)
@@ -257,6 +270,15 @@ class Scene:
             error_picture.reshape(height, width),
             plan,
         )
+
+    @property
+    def names(self) -> dict[str, Any]:
+        """What a plan says that it was made for."""
+        return {
+            "mesh": self.mesh.name,
+            "environment": self.environment.name,
+            "materials": [own.spec for own in self.materials],
+        }
 
     def plan(self, error: float, *, points: str = "pixel") -> Plan:
         """The fastest settings that meet a relative RMSE, as a pilot finds them: `prtcl.scene.planner`.

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from prtcl.scene.adapt import Exposure, colours
 from prtcl.scene.audit import Audit, audit
 from prtcl.scene.plan import Plan
-from prtcl.scene.planner import AIM, GUESS, confidence
+from prtcl.scene.planner import GUESS, confidence, noise_left
 from prtcl.scene.report import covered
 from prtcl.scene.shaders import Layer
 
@@ -54,7 +54,7 @@ def steer(
     share : of hard light in the squared noise
     """
     rng = np.random.default_rng(0)
-    wanted = max((AIM * asked) ** 2 - bias**2, 0.01 * asked**2)
+    wanted = noise_left(asked, bias**2)
     ratio, found, audits = GUESS, Audit(GUESS, GUESS, 0.0), 0
     while audits < AUDITS:
         layers, error, share = _shared(layers, math.sqrt(wanted / ratio), share)
@@ -64,7 +64,8 @@ def steer(
         found, audits = audit(exposure, layers, rng), audits + 1
         if not found.error**2 > NEAR * wanted * mean**2:
             break
-        ratio = max(found.ratio, 0.5 * ratio)
+        # A pixel that was hardly expected to err counts for many: more than a round of points is not taken on its word.
+        ratio = min(max(found.ratio, 0.5 * ratio), 4.0 * ratio)
     noise = (found.error / mean) ** 2 if mean > 0.0 else 0.0
     uncertain = math.hypot(noise * found.uncertain / max(found.ratio, 1e-300), bias_uncertain**2)
     squared = bias**2 + noise

@@ -31,7 +31,7 @@ def run(options: argparse.Namespace) -> int:
     Raises
     ------
     InputError
-        If an option or a file cannot be used, matplotlib is missing, or nothing meets the error.
+        If an option or a file cannot be used, or matplotlib is missing.
     """
     if is_bake(options.mesh) or options.points == "vertex":
         raise InputError("report: measures the points of pixels; give it the mesh, without --points vertex")
@@ -90,10 +90,15 @@ def _without_folders(options: argparse.Namespace) -> list[str]:
 
 
 def _summary(result: dict[str, Any], folder: Path) -> str:
-    lines = [
-        f"{told['material']}: asked {100 * told['plan']['asked']:.2g} %, predicted "
-        f"{100 * told['plan']['predicted']:.2g} %, found {100 * told['plan']['found']:.2g} % in "
-        f"{told['plan']['seconds']:.1f} s"
-        for told in result["materials"]
-    ]
-    return "\n".join([*lines, str(folder / "report.html")])
+    return "\n".join([*(_line(told) for told in result["materials"]), str(folder / "report.html")])
+
+
+def _line(told: dict[str, Any]) -> str:
+    plan = told["plan"]
+    predicted = (
+        "refused; the usual settings:" if "refused" in plan else f"predicted {100 * plan['predicted']:.2g} %,"
+    )
+    return (
+        f"{told['material']}: asked {100 * plan['asked']:.2g} %, {predicted} found {100 * plan['found']:.2g} % in "
+        f"{plan['seconds']:.1f} s"
+    )

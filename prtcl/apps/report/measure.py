@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from prtcl import quadtree
+from prtcl.errors import InputError
 from prtcl.scene.adapt import MOST_HARD, Exposure, colours
 from prtcl.scene.film import Film
 from prtcl.scene.pilot import Pilot, pipelines
@@ -44,8 +45,9 @@ class Sample:
 
     def __init__(self, scene: Scene) -> None:
         self.scene, self.pilot = scene, Pilot(scene, PIXELS)
+        # Of other places in the pixel than a film's: where they are shared, what both err is not seen.
         self.halves = np.stack(
-            [self.pilot.true_pixels(POINTS, DIRECTIONS, first) for first in (0, MOST_HARD)]
+            [self.pilot.true_pixels(POINTS, DIRECTIONS, first) for first in (MOST_HARD, 2 * MOST_HARD)]
         )
         self.mean = float(self.halves.mean())
 
@@ -154,35 +156,41 @@ def frontier(rows: list[Row]) -> list[Row]:
 def material(scene: Scene, error: float) -> tuple[Row, npt.NDArray[np.float32], npt.NDArray[np.float32]]:
     """All that is told of one material, its picture (h, w, 4) and the picture's error (h, w).
 
+    Where nothing meets the error the picture is that of the usual settings, and `plan` says why under "refused".
+
     Raises
     ------
     InputError
-        If the camera sees nothing, or nothing meets the error.
+        If the camera sees nothing.
     """
     sample = Sample(scene)
     rows = list(settings(sample))
     curves = factors(sample)
+    plan: Row = {"asked": error}
     start = time.perf_counter()
-    render = scene.render(error=error)
-    seconds = time.perf_counter() - start
-    assert render.plan is not None and render.error is not None
-    flat = render.image.reshape(-1, 4)[sample.pilot.pixels, :3].astype(np.float64)
+    try:
+        render = scene.render(error=error)
+    except InputError as refused:
+        start, render = time.perf_counter(), scene.render()
+        plan["refused"] = str(refused)
+    plan["seconds"] = time.perf_counter() - start
+    assert render.error is not None
+    plan["found"] = sample.error(render.image.reshape(-1, 4)[sample.pilot.pixels, :3].astype(np.float64))
+    if render.plan is not None:
+        plan |= {
+            "predicted": render.plan.predicted,
+            "confidence": render.plan.confidence,
+            "pilot_seconds": render.plan.pilot_seconds,
+            "why": render.plan.explain(),
+            "settings": [own.plain() for own in render.plan.settings],
+        }
     told = {
         "material": ", ".join(dict.fromkeys(own.spec for own in scene.materials)),
         "reference_noise": sample.noise,
         "settings": rows,
         "frontier": frontier(rows),
         "factors": curves,
-        "plan": {
-            "asked": error,
-            "predicted": render.plan.predicted,
-            "found": sample.error(flat),
-            "confidence": render.plan.confidence,
-            "seconds": seconds,
-            "pilot_seconds": render.plan.pilot_seconds,
-            "why": render.plan.explain(),
-            "settings": [own.plain() for own in render.plan.settings],
-        },
+        "plan": plan,
         "render": render.report,
     }
     return told, render.image, render.error

@@ -19,8 +19,10 @@ td:first-child, th:first-child { text-align: left } code { background: #f4f4f4; 
 
 CAPTIONS = {
     "settings": "Every setting tried, on a sample of pixels against float64; the line joins those that no other beats. "
-    "The star is the picture that was planned, whose pixels get as many points as they need.",
-    "factors": "Each factor's own approximations, the others left fine: what a point's radiance errs for it.",
+    "The star is the picture that was planned (or, refused, that of the usual settings), whose pixels get as many "
+    "points as they need.",
+    "factors": "Each factor's own approximations, the others left fine: what a point's radiance errs for it. Light on "
+    "few directions takes f_v's finer levels with it, which have nothing to meet.",
     "stages": "Where the planned picture's time went, and what a point takes of the device's memory.",
     "error": "The planned picture, and what each of its pixels is expected to err.",
 }
@@ -45,7 +47,11 @@ def page(result: Row, drawn: list[dict[str, Any]]) -> str:
     ]
     for told, figures in zip(result["materials"], drawn, strict=True):
         parts.append(f"<h2>{_text(told['material'])}</h2>")
-        parts.append("<ul>" + "".join(f"<li>{_text(line)}</li>" for line in told["plan"]["why"]) + "</ul>")
+        why = told["plan"].get("why") or [
+            told["plan"]["refused"],
+            "the picture below is that of the usual settings",
+        ]
+        parts.append("<ul>" + "".join(f"<li>{_text(line)}</li>" for line in why) + "</ul>")
         for name, figure in figures.items():
             parts.append(f"<p><img alt='{_text(name)}' src='{_embedded(figure)}'><br>{CAPTIONS[name]}</p>")
         parts.append(_frontier(told["frontier"]))
@@ -55,13 +61,18 @@ def page(result: Row, drawn: list[dict[str, Any]]) -> str:
 def _summary(materials: list[Row]) -> str:
     rows = "".join(
         f"<tr><td>{_text(told['material'])}<td>{_percent(told['plan']['asked'])}"
-        f"<td>{_percent(told['plan']['predicted'])}<td>{_percent(told['plan']['found'])}"
-        f"<td>{100 * told['plan']['confidence']:.0f} %<td>{told['plan']['seconds']:.1f} s"
+        + (
+            "<td colspan=2>refused"
+            if "refused" in told["plan"]
+            else f"<td>{_percent(told['plan']['predicted'])}<td>{100 * told['plan']['confidence']:.0f} %"
+        )
+        + f"<td>{_percent(told['plan']['found'])}<td>{told['plan']['seconds']:.1f} s"
         for told in materials
     )
     return (
-        "<table><caption>Found is against float64 at a sample of pixels; the time has the pilot in it.</caption>"
-        "<tr><th>material<th>asked<th>predicted<th>found<th>confidence<th>time" + rows + "</table>"
+        "<table><caption>Found is against float64 at a sample of pixels; the time has the pilot in it. Where an error "
+        "is refused, found is that of the usual settings.</caption>"
+        "<tr><th>material<th>asked<th>predicted<th>confidence<th>found<th>time" + rows + "</table>"
     )
 
 

@@ -35,9 +35,8 @@ def settings(told: Row) -> Any:
         label="frontier of fixed points a pixel",
     )  # fmt: skip
     plan = told["plan"]
-    axes.loglog(
-        [plan["seconds"]], [100 * plan["found"]], "*", color="red", ms=16, label="planned, its pilot included"
-    )
+    label = "usual settings: the error is refused" if "refused" in plan else "planned, its pilot included"
+    axes.loglog([plan["seconds"]], [100 * plan["found"]], "*", color="red", ms=16, label=label)
     axes.axhline(100 * plan["asked"], color="red", ls=":", lw=1, label="asked for")
     axes.axhline(100 * told["reference_noise"], color="grey", ls=":", lw=1, label="noise of the reference")
     axes.set_xlabel("seconds, expected of the whole picture (planned: measured)")

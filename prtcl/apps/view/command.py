@@ -69,8 +69,9 @@ def run(options: argparse.Namespace) -> int:
         studio.levels, studio.rays, studio.error = plan.levels, plan.rays, plan.error
         if not options.quiet:
             print(
-                f"prtcl view: {plan.trials[-1].name}, cuts of {100 * plan.error:.2g} %: vertices are expected to "
-                f"err by {100 * plan.predicted:.2g} % ({100 * plan.confidence:.0f} % confidence)",
+                f"prtcl view: 4^{plan.levels} directions, 4^{plan.rays} rays, cuts of {100 * plan.error:.2g} %: "
+                f"vertices are expected to err by {100 * plan.predicted:.2g} % "
+                f"({100 * plan.confidence:.0f} % confidence)",
                 file=sys.stderr,
             )
     server = web.start(options.host, options.port, camera, Eye.of(camera).fov)
