@@ -21,7 +21,7 @@ from prtcl.scene.shaders import Layer
 
 MOVED = 1.15
 """Square of a pixel's error over the square of its move, between the 1 and the 4/3 of the two cases above."""
-SHARE, LEAST = 0.005, 100
+SHARE, LEAST = 0.01, 200
 """Pixels drawn, of those that are covered or beside one, and at least."""
 
 

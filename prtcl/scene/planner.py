@@ -222,7 +222,7 @@ def finished(
     start : when the pilot began, by `time.perf_counter`
     """
     squared = max(bias.value, 0.0) + noise
-    # An audit of a hundred pixels tells a squared error to about a quarter.
+    # An audit of two hundred pixels tells a squared error to about a quarter.
     uncertain = math.hypot(bias.uncertain, 0.25 * noise)
     return Plan(
         asked=error, settings=tuple(settings), points=points, bias=root(bias.value),
