@@ -177,7 +177,12 @@ def test_an_error_that_nothing_meets_is_refused(device: Device, mesh: Mesh, sky:
         Session.planned(mesh, sky, GLOSSY, VIEW, error=0.001, device=device, levels=3, rays=2)
     vertices = scene(device, mesh, sky, rays=2)
     with pytest.raises(InputError, match=r"no setting that was tried meets it"):
-        vertices.render(points="vertex", error=0.001)
+        vertices.render(points="vertex", error=0.005)
+    # Finer than the reference can tell, or than it has told the finest to be.
+    with pytest.raises(
+        InputError, match=r"what vertices err can be told to|no setting that was tried meets it"
+    ):
+        scene(device, mesh, sky, "lambert:albedo=0.5").render(points="vertex", error=0.00001)
 
 
 @pytest.mark.parametrize("error", [0.0, -1.0, 1.0, float("nan"), float("inf")])
@@ -265,6 +270,15 @@ def test_what_a_plan_says_is_doubted_elsewhere(
     assert "for the materials" in (doubt("ggx:alpha=0.2,f0=0.5") or "")
     for by_hand in (doubt(samples=1), doubt(rays=rays - 1)):
         assert by_hand is not None and "by hand" in by_hand
+
+
+def test_of_near_mirrors_no_error_is_promised(device: Device, mesh: Mesh, sky: Environment) -> None:
+    """Under hard light; of an even one nothing is missed."""
+    mirror = "ggx:alpha=0.02,f0=0.9"
+    report = scene(device, mesh, sky, mirror).render(error=0.3).report
+    assert "alpha 0.02 may fall between" in report["plan"]["doubt"]
+    even = scene(device, mesh, Environment.constant(1.0), mirror).render(error=0.3).report
+    assert even["plan"]["doubt"] is None
 
 
 def test_a_plan_is_kept_in_a_file(planned: Render, tmp_path: Path) -> None:

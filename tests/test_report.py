@@ -141,6 +141,8 @@ def test_names_cannot_break_the_page() -> None:
         (["--samples", "2"], ["--samples"]),
         (["--points", "vertex"], ["pixels"]),
         (["--error", "2"], ["between 0 and 1"]),
+        (["--brdf", "lambert:albedo=0"], ["black", "choose"]),
+        (["--eye", "0", "0", "9", "--target", "0", "0", "20"], ["sees nothing", "--eye"]),
     ],
 )
 @pytest.mark.usefixtures("small")

@@ -25,8 +25,10 @@ Candidate = TypeVar("Candidate")
 
 SAMPLES = 1024
 """Directions of a noisy reference at each point, at a time."""
-RUNS = 4
-"""Times that the reference is made anew, at most, in halves, until it tells enough."""
+RUNS, SECONDS = 8, 1.5
+"""Times that the reference is made, at most, in halves, until it tells enough; and seconds that this may take."""
+UNTOLD = 3.0
+"""An error that the reference cannot tell from nothing at so many times what was asked is not promised."""
 ENOUGH = 0.3
 """Of the squared error allowed, what one standard error of the finest settings' may be."""
 
@@ -64,19 +66,27 @@ def coarsest(
     Raises
     ------
     InputError
-        If not even the last candidate meets the error.
+        If not even the last candidate meets the error, or the reference is far too noisy to say so.
     """
+    start = time.perf_counter()
     halves = np.stack([reference(), reference()])
     mean = float(halves.mean())
     if not mean > 0.0:  # black: there is no relative error
         return Found(candidates[0], Squared(0.0, 0.0), 0.0, ())
+    spent = time.perf_counter() - start
     fine, seconds = _timed(shade, candidates[-1], points)
     known = _against(fine, halves, mean)
     for run in range(1, RUNS):
-        if known.uncertain <= ENOUGH * error**2:
+        if known.uncertain <= ENOUGH * error**2 or spent * (run + 1) / run > SECONDS:
             break
+        start = time.perf_counter()
         halves += (np.stack([reference(), reference()]) - halves) / (run + 1)
+        spent += time.perf_counter() - start
         known = _against(fine, halves, mean)
+    if told(known) <= error**2 < (known.uncertain / UNTOLD**2):
+        raise InputError(
+            f"error {error:.2g}: what vertices err can be told to {root(known.uncertain):.2g} only\n{advice}"
+        )
     trials: list[Trial] = []
     for candidate in candidates:
         last = candidate == candidates[-1]

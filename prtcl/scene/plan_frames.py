@@ -15,6 +15,7 @@ from prtcl.errors import InputError
 from prtcl.scene.pilot import NOISY, Pilot, pipelines
 from prtcl.scene.plan import check_error
 from prtcl.scene.planner import AIM, LEAST_RAYS, RATE, STAYS, root, shifted, stays
+from prtcl.scene.points import check_eye
 from prtcl.scene.scene import Scene
 
 COST = {2: 7.0, 3: 13.0, 4: 26.0, 5: 45.0, 6: 120.0, 7: 400.0}
@@ -46,7 +47,7 @@ def plan_frames(scenes: Sequence[Scene], error: float) -> FramesPlan:
     Raises
     ------
     InputError
-        If `error` is not between 0 and 1, or nothing meets it.
+        If `error` is not between 0 and 1, nothing meets it, or a camera sees nothing.
     """
     check_error(error)
     found = [_one(scene, error) for scene in scenes]
@@ -59,6 +60,7 @@ def plan_frames(scenes: Sequence[Scene], error: float) -> FramesPlan:
 
 
 def _one(scene: Scene, error: float) -> FramesPlan:
+    check_eye(scene.tracer, scene.mesh, scene.camera)
     pilot, allowed = Pilot(scene), (AIM * error) ** 2
     base = [own for own, _ in scene.choose_settings(False)]
     finest = max(one.rays for one in base)

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 Array = npt.NDArray[np.float64]
 
-VERTICES = 1024
+VERTICES = 512
 """Vertices of the sample."""
 
 
@@ -70,9 +70,7 @@ def _shade(
 def _candidates(base: list[Settings], fixed: set[str]) -> list[list[Settings]]:
     """Settings from coarse to fine."""
     finest = max(one.rays for one in base)
-    shifts = (
-        [0] if "rays" in fixed else [s for s in (-2, -1, 0, 1, 2) if 2 <= finest + s <= quadtree.MAX_LEVELS]
-    )
+    shifts = [0] if "rays" in fixed else [s for s in (-2, -1, 0, 1) if 2 <= finest + s <= quadtree.MAX_LEVELS]
     return [[shifted(one, shift, "levels" in fixed) for one in base] for shift in shifts]
 
 

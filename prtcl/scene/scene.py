@@ -30,7 +30,7 @@ from prtcl.scene.planner import plan_pixels
 from prtcl.scene.points import check_eye
 from prtcl.scene.report import render_report
 from prtcl.scene.shaders import Counter, Layer, Notify, PixelShader, VertexShader
-from prtcl.scene.steer import expected_error, steer
+from prtcl.scene.steer import SHARP, expected_error, steer
 from prtcl.scene.tint import Tints, colour_notes
 from prtcl.transport.fine_levels import needed
 from prtcl.transport.leave_out import parse
@@ -257,7 +257,8 @@ class Scene:
             report["plan"] = {
                 **plan.summary(),
                 "audits": 0 if steered is None else steered.audits,
-                "doubt": plan.doubt(self.names, by_hand) if given and steered is None else None,
+                "doubt": self._missed(pipeline)
+                or (plan.doubt(self.names, by_hand) if given and steered is None else None),
             }
             if not given:
                 report["seconds"]["pilot"] = round(plan.pilot_seconds, 4)
@@ -270,6 +271,13 @@ class Scene:
             error_picture.reshape(height, width),
             plan,
         )
+
+    def _missed(self, pipeline: Pipelines | Several) -> str | None:
+        """What neither pilot nor audits are sure to see, in words."""
+        alpha = min(own.roughness for own in self.materials)
+        if alpha < SHARP and len(pipeline.light.hard):
+            return f"highlights of alpha {alpha:.2g} may fall between the points that would tell"
+        return None
 
     @property
     def names(self) -> dict[str, Any]:

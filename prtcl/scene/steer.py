@@ -17,6 +17,8 @@ from prtcl.scene.shaders import Layer
 
 AUDITS = 4
 """Audits of one image, at most."""
+SHARP = 0.05
+"""GGX alpha below which a highlight of hard light may fall between an audit's points too."""
 NEAR = 1.1
 """Of the squared error that was aimed at, what is as good."""
 

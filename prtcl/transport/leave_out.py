@@ -83,5 +83,10 @@ class Tally:
             self._count[name] += int(count)
             self._of[name] += int(of)
 
+    def set(self, name: str, count: int, of: int) -> None:
+        """`count` of `of` are left out so far."""
+        with self._lock:
+            self._count[name], self._of[name] = int(count), int(of)
+
     def __getitem__(self, name: str) -> tuple[int, int]:
         return self._count[name], self._of[name]

@@ -172,7 +172,7 @@ class Pipeline:
         if fetched is not None:
             self._finish(*fetched, out)
         views, made = self.slices.count
-        self.tally.add("views", views - made, views)
+        self.tally.set("views", views - made, views)
         return out
 
     def _needed(self, part: npt.NDArray[np.int64], some: Points, seen: npt.NDArray[np.uint32]) -> Source:

@@ -15,6 +15,7 @@ from prtcl.errors import InputError
 from prtcl.scene.adapt import MOST_HARD, Exposure, colours
 from prtcl.scene.film import Film
 from prtcl.scene.pilot import Pilot, pipelines
+from prtcl.scene.points import check_eye
 from prtcl.scene.scene import Scene
 from prtcl.scene.shaders import Counter, Layer, PixelShader
 from prtcl.transport.settings import Settings
@@ -41,15 +42,26 @@ class Sample:
     ----------
     halves : (2, pixels, 3) float64 radiance by importance sampling, twice; a picture's error is the root of the mean
         product of its differences from the two, in which their noise has mean zero
+
+    Raises
+    ------
+    InputError
+        If the camera sees nothing, or the picture is black.
     """
 
     def __init__(self, scene: Scene) -> None:
+        check_eye(scene.tracer, scene.mesh, scene.camera)
         self.scene, self.pilot = scene, Pilot(scene, PIXELS)
         # Of other places in the pixel than a film's: where they are shared, what both err is not seen.
         self.halves = np.stack(
             [self.pilot.true_pixels(POINTS, DIRECTIONS, first) for first in (MOST_HARD, 2 * MOST_HARD)]
         )
         self.mean = float(self.halves.mean())
+        if not self.mean > 0.0:
+            raise InputError(
+                "report: the picture is black, so that it has no relative error\n"
+                "choose a light and materials that show something"
+            )
 
     def error(self, radiance: Array) -> float:
         """Relative RMSE of (pixels, 3)."""
@@ -161,7 +173,7 @@ def material(scene: Scene, error: float) -> tuple[Row, npt.NDArray[np.float32], 
     Raises
     ------
     InputError
-        If the camera sees nothing.
+        If the camera sees nothing, or the picture is black.
     """
     sample = Sample(scene)
     rows = list(settings(sample))
