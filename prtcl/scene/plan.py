@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 from dataclasses import asdict, dataclass, field
 from typing import Any
@@ -132,9 +133,29 @@ class Plan:
             raise InputError(
                 f"{name}: is no plan; make one with prtcl render --error E --save-plan FILE"
             ) from error
-        if not settings or plan.points not in ("pixel", "vertex"):
+        if not settings or not plan._sound():
             raise InputError(f"{name}: is no plan; make one with prtcl render --error E --save-plan FILE")
         return plan
+
+    def _sound(self) -> bool:
+        """Whether fields are of their kinds and ranges, whoever wrote them."""
+        shares = (self.bias, self.bias_uncertain, self.predicted, self.noise_ratio)
+        numbers = [self.asked, self.confidence, self.seconds, self.pilot_seconds, *shares]
+        for trial in self.trials:
+            numbers += [trial.bias, trial.bias_uncertain, trial.noise, trial.seconds or 0.0]
+        return (
+            all(
+                isinstance(own, int | float) and not isinstance(own, bool) and 0.0 <= own < math.inf
+                for own in numbers
+            )
+            and 0.0 < self.asked < 1.0
+            and self.confidence <= 1.0
+            and self.points in ("pixel", "vertex")
+            and isinstance(self.steered, bool)
+            and isinstance(self.device, str)
+            and isinstance(self.scene, dict)
+            and self.scene.keys() <= {"mesh", "environment", "materials"}
+        )
 
     def summary(self) -> dict[str, Any]:
         """What a report says of it."""
