@@ -32,11 +32,12 @@ from prtcl.factors.environment import Environment
 from prtcl.factors.material import Material
 from prtcl.factors.visibility import Tracer
 from prtcl.scene.camera import Camera
+from prtcl.scene.engine_choice import choose_engine
+from prtcl.scene.frames_looks import Looks
 from prtcl.scene.mesh import read_mesh
 from prtcl.scene.points import pixel_points, shoot
 from prtcl.scene.scene import Scene, read_environment
 from prtcl.scene.view_points import ViewPoints
-from prtcl.transport.engine_choice import choose_engine
 from prtcl.transport.fixed_view import FixedView, rays_for
 
 MESH, MAPS = "stanford_bunny", ("modern_buildings_2", "st_fagans_interior")
@@ -114,10 +115,8 @@ def main() -> None:
         "materials": scenes.MATERIALS,
     }
 
-    first = ViewPoints.of(mesh, tracer, front, one_material=True)
-    result["choice"] = choose_engine(
-        device, tracer, first.points, first.pixel, environments, looks
-    ).reason  # compiles the kernels as well
+    # Compiles the kernels as well.
+    result["choice"] = choose_engine(mesh, Looks(scenes.MATERIALS, mesh), device, front, environments).reason
     print(result["choice"], flush=True)
 
     rows, sampled, ours, off = [], [], [], []

@@ -5,7 +5,8 @@
 Relative RMSE over random covered pixels of the Stanford bunny at 512 × 512, against the float64 reference of
 bench/relight.py, under a hard sun and an interior of many lamps. A row is one number changed: points along a pixel's
 side, levels of the visibility grid and the blocks its rays begin with, the share of light from which it is hard, the
-share from which hard light is traced, its pairs of direction and point, and the probes of a group.
+share from which hard light is traced, its pairs of direction and point, the probes of a group, and the spread of a
+pixel's normals from which it traces all (-1: every pixel does).
 """
 
 from __future__ import annotations
@@ -30,11 +31,12 @@ from prtcl.transport.fixed_view import FixedView
 
 CHANGES = {
     "side": (4, 16), "rays": (6,), "blocks": (8, 32), "share": (0.005, 0.05, 0.3), "strong": (0.0, 0.05),
-    "pairs": (1, 512), "probes": (4, 1000),
+    "pairs": (1, 512), "probes": (4, 16), "uneven": (-1.0,),
 }  # fmt: skip
 DEFAULT = {
     "side": 8, "rays": 7, "blocks": pixel_visibility.BLOCKS, "share": light_columns.SHARE,
     "strong": hard_groups.STRONG, "pairs": hard_groups.PAIRS, "probes": hard_groups.PROBES,
+    "uneven": pixel_visibility.UNEVEN,
 }  # fmt: skip
 
 
@@ -66,7 +68,7 @@ def main() -> None:
         own = {**DEFAULT, **({name: value} if name else {})}
         pixel_visibility.BLOCKS = own["blocks"]
         hard_groups.STRONG, hard_groups.PAIRS = own["strong"], own["pairs"]
-        hard_groups.PROBES = light_columns.PROBES = own["probes"]
+        hard_groups.PROBES, pixel_visibility.UNEVEN = own["probes"], own["uneven"]
         each = own["side"] ** 2
         pixel, sub = np.repeat(chosen, each), np.tile(np.arange(each), len(chosen))
         hits = shoot(tracer, camera, pixel, sub)

@@ -27,6 +27,7 @@ from prtcl.scene.frames import Job, jobs, relight
 from prtcl.scene.frames_ahead import ahead
 from prtcl.scene.mesh import Mesh
 from prtcl.scene.scene import Scene, read_environment
+from prtcl.transport import collapse
 
 CAMERA = Camera((3.1, 2.5, 5.4), (-0.1, 0.75, -0.3), fov=38.0, size=(24, 18))
 SHARP = "ggx:alpha=0.1,f0=0.04,kd=0.5/0.2/0.1"
@@ -162,6 +163,24 @@ def test_an_image_is_the_same_whatever_is_made_beside_it(
         assert {frame.job.index for frame in made} == some
         for frame in made:
             assert (frame.image == whole[frame.job.index]).all()
+
+
+def test_light_is_collapsed_once_for_all_materials(
+    device: Device, mesh: Mesh, sky: Environment, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    calls, real = [], collapse.reduced_coefficients
+
+    def counted(*arguments: Any, **options: Any) -> Any:
+        calls.append(len(arguments[3]))
+        return real(*arguments, **options)
+
+    monkeypatch.setattr(collapse, "reduced_coefficients", counted)
+    more: dict[str, Any] = {"samples": 1, "device": device, **COARSE}
+    for materials in ([SHARP], [SHARP, "lambert:albedo=0.5", "blinn:exponent=20,ks=0.4"]):
+        calls.clear()
+        made = list(relight(mesh, [sky], materials, [CAMERA], **more))
+        assert len(made) == len(materials)
+        assert sum(calls) == int(made[0].image[..., 3].sum()), "a point was collapsed for each material"
 
 
 @pytest.mark.parametrize("beside", [True, False])

@@ -1,4 +1,4 @@
-"""`prtcl info`: what a bake holds, and whether it is whole."""
+"""`prtcl info`: what a bake or kept visibility holds, and whether it is whole."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from prtcl.apps import info_kept
 from prtcl.errors import InputError
 
 if TYPE_CHECKING:
@@ -15,15 +16,21 @@ if TYPE_CHECKING:
 
 def add_parser(commands: Any) -> None:
     """Register the command."""
-    info = commands.add_parser("info", help="what a bake holds; with --verify, whether all of it is whole")
-    info.add_argument("bake", metavar="BAKE", help="a bake (.npz, .zarr)")
+    info = commands.add_parser(
+        "info", help="what a bake or kept visibility holds; with --verify, whether all of it is whole"
+    )
+    info.add_argument(
+        "bake", metavar="BAKE|DIR", help="a bake (.npz, .zarr), or what `relight --keep-visibility DIR` keeps"
+    )
     info.add_argument("--verify", action="store_true", help="read every chunk (an .npz is always read whole)")
     info.add_argument("--json", action="store_true", help="the same as JSON on standard output")
     info.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace) -> int:
-    """Print what is known of a bake."""
+    """Print what is known of a bake, or of kept visibility."""
+    if info_kept.is_kept(options.bake):
+        return _run_kept(options)
     found = describe(options.bake, options.verify)
     if options.json:
         print(json.dumps(found, indent=2))
@@ -43,10 +50,24 @@ def run(options: argparse.Namespace) -> int:
         lines.append(("chunks", f"{found['chunks']['number']} of {found['chunks']['vertices']} vertices"))
     if found["verified"]:
         lines.append(("verified", "whole: everything was read"))
-    print(options.bake)
+    _print(options.bake, lines)
+    return 0
+
+
+def _run_kept(options: argparse.Namespace) -> int:
+    stores = info_kept.describe(options.bake, options.verify)
+    if options.json:
+        print(json.dumps(stores, indent=2))
+        return 0
+    for store in stores:
+        _print(store["path"], info_kept.lines(store))
+    return 0
+
+
+def _print(title: str, lines: list[tuple[str, str]]) -> None:
+    print(title)
     for name, value in lines:
         print(f"  {name:9s} {value}")
-    return 0
 
 
 def describe(path: str, verify: bool = False) -> dict[str, Any]:

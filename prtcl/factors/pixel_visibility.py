@@ -8,6 +8,7 @@ cost no more rays. As in `prtcl.factors.refine` only the cells are traced whose 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 import numpy.typing as npt
@@ -23,6 +24,9 @@ PLACES = 16
 BLOCKS = 16
 """Blocks along a hemisphere's side in which rays go first (bench/relight_choices.py)."""
 
+AXES = np.array([a for a in product((-1, 0, 1), repeat=3) if any(a)], dtype=np.float32)
+AXES /= np.linalg.norm(AXES, axis=1, keepdims=True)
+"""World directions along which a pixel's outermost points are known: any other is within 28 degrees of one."""
 UNEVEN = 0.15
 """Length by which normals within a pixel differ from their mean, from which its probes may all lie on one of two
 surfaces: it traces every sample of hard light."""
@@ -141,16 +145,18 @@ class HardRays:
     lights : (k, 3) float32 unit, world
     turns : (k,) int32: each sample leaves from the pixel's point whose turn this is
     begin : (g + 1,) int32: groups of samples
-    traced : (g,) bool: of these groups the first `probes` samples are traced, the others only where those differ or
-        the pixel is `UNEVEN`. The rest are left to the soft light's bits (`sphere.around`).
-    probes : at least 1
+    traced : (g,) bool: of these groups all samples are traced where their probes differ or the pixel is `UNEVEN`. The
+        rest are left to the soft light's bits (`sphere.around`).
+    probes, outwards : (g, p, 3) float32: rays of each group that are traced in any case. Each leaves from the pixel's
+        point that lies farthest outwards
     """
 
     lights: npt.NDArray[np.float32]
     turns: npt.NDArray[np.int32]
     begin: npt.NDArray[np.int32]
     traced: npt.NDArray[np.bool_]
-    probes: int
+    probes: npt.NDArray[np.float32]
+    outwards: npt.NDArray[np.float32]
 
 
 def hard_visibility(
@@ -163,46 +169,60 @@ def hard_visibility(
     """Which hard samples each pixel sees: (pixels, (k + 31) // 32) uint32, none of those that are not traced.
 
     A pixel that sees all probes of a group sees it all, also the samples below some point's horizon, which the cosine
-    leaves out.
+    leaves out. An edge at distance D from the pixel lets a ray from x in direction d pass if n · (x + D d) exceeds a
+    number of its own: what it may cut off first are the rays that lie farthest along n in both. So probes are the
+    outermost of a group from the outermost points of the pixel, once around; of any straight edge that parts pixel and
+    light between them hardly any stays unseen, or it would show as a jump when the light turns (bench/flicker.py).
     """
     lights, turns, begin = hard.lights, hard.turns, hard.begin
     count = len(lights)
     bits = np.zeros((len(pixels), (count + 31) // 32), dtype=np.uint32)
-    if not count:
+    groups = np.flatnonzero(hard.traced)
+    if not len(groups):
         return bits
-    group = np.repeat(np.arange(len(begin) - 1), np.diff(begin))
-    probing = np.arange(count) - begin[group] < hard.probes
-    ahead = np.flatnonzero(hard.traced[group] & probing)
-    rest = np.flatnonzero(hard.traced[group] & ~probing)
-    starts = np.flatnonzero(np.append(True, group[ahead][1:] != group[ahead][:-1])) if len(ahead) else ahead
-    of_rest = np.searchsorted(np.unique(group[ahead]), group[rest])
+    sizes = np.diff(begin)[groups]
+    columns = np.repeat(begin[groups] - np.cumsum(sizes) + sizes, sizes) + np.arange(sizes.sum())
+    probes, each = hard.probes[groups].reshape(-1, 3), hard.probes.shape[1]
+    axis = np.argmax(hard.outwards[groups].reshape(-1, 3) @ AXES.T, axis=1)
+    corners = outermost(origins, pixels)
     mean = np.add.reduceat(normals, pixels.first[:-1], axis=0) / np.diff(pixels.first)[:, None]
     # No point of a pixel faces a direction that lies further below the mean horizon than its normals spread.
     away = normals - np.repeat(mean, np.diff(pixels.first), axis=0)
     margin = np.maximum.reduceat(np.sqrt(np.einsum("nx,nx->n", away, away)), pixels.first[:-1]) + 1e-6
 
+    def trace(point: npt.NDArray[np.int64], towards: npt.NDArray[np.float32]) -> npt.NDArray[np.bool_]:
+        """Which rays reach the light: those above their point's horizon that meet nothing."""
+        seen = np.einsum("nx,nx->n", normals[point], towards) > 0.0
+        up = np.flatnonzero(seen)
+        seen[up] = ~tracer.occluded(origins[point[up]], towards[up])
+        return np.asarray(seen)
+
     def run(part: slice) -> None:
         pixel = np.arange(part.start, part.stop)
+        probed = np.zeros((len(pixel), len(probes)), dtype=np.bool_)
+        row, column = np.nonzero(mean[part] @ probes.T > -margin[part, None])
+        probed[row, column] = trace(corners[pixel[row], axis[column]], probes[column])
+        found = probed.reshape(len(pixel), -1, each).sum(axis=2)
+        mixed = ((found > 0) & (found < each)) | (margin[part] > UNEVEN)[:, None]
+        seen = np.repeat((found == each) & ~mixed, sizes, axis=1)
+        row, column = np.nonzero(np.repeat(mixed, sizes, axis=1))
+        light = columns[column]
+        seen[row, column] = trace(pixels.point(pixel[row], turns[light]), lights[light])
         visible = np.zeros((len(pixel), count), dtype=np.bool_)
-
-        def trace(which: npt.NDArray[np.bool_], columns: npt.NDArray[np.intp]) -> None:
-            """Rays of some pixels (rows) and lights (columns) that lie above their point's horizon."""
-            row, column = np.nonzero(which)
-            light = columns[column]
-            point = pixels.point(pixel[row], turns[light])
-            up = np.flatnonzero(np.einsum("nx,nx->n", normals[point], lights[light]) > 0.0)
-            row, light, point = row[up], light[up], point[up]
-            visible[row, light] = ~tracer.occluded(origins[point], lights[light])
-
-        if len(ahead):
-            trace(mean[part] @ lights[ahead].T > -margin[part, None], ahead)
-        if len(rest):
-            whole = np.logical_and.reduceat(visible[:, ahead], starts, axis=1)
-            mixed = np.logical_or.reduceat(visible[:, ahead], starts, axis=1) & ~whole
-            mixed |= (margin[part] > UNEVEN)[:, None]
-            visible[:, rest] = (whole & ~mixed)[:, of_rest]
-            trace(mixed[:, of_rest], rest)
+        visible[:, columns] = seen
         bits[part] = rays.pack(visible, bits.shape[1])
 
     rays.in_parallel(run, len(pixels), max(1, 8 * rays.RAYS_PER_TASK // count))
     return bits
+
+
+def outermost(origins: npt.NDArray[np.float32], pixels: Pixels) -> npt.NDArray[np.int64]:
+    """The point of each pixel that lies farthest along each of `AXES`: (pixels, 26)."""
+    counts, starts = np.diff(pixels.first), pixels.first[:-1]
+    owner = np.repeat(np.arange(len(pixels)), counts)
+    out = np.empty((len(pixels), len(AXES)), dtype=np.int64)
+    for number, axis in enumerate(AXES):
+        along = origins @ axis
+        at = np.flatnonzero(along == np.repeat(np.maximum.reduceat(along, starts), counts))[::-1]
+        out[owner[at], number] = at  # of several the first
+    return out

@@ -17,6 +17,7 @@ from prtcl.compute.device import Device
 from prtcl.errors import InputError
 from prtcl.factors.environment import Environment
 from prtcl.factors.material import Material
+from prtcl.factors.visibility import Tracer
 from prtcl.scene.bake import Bake, read_mesh_or_bake
 from prtcl.scene.camera import Camera
 from prtcl.scene.camera_path import View
@@ -24,6 +25,7 @@ from prtcl.scene.frames_ahead import ahead
 from prtcl.scene.frames_engine import Engine, Simple, Wanted, with_rotation
 from prtcl.scene.frames_looks import Looks
 from prtcl.scene.frames_view import ViewEngine
+from prtcl.scene.kept_visibility import KeptVisibility
 from prtcl.scene.mesh import Mesh
 from prtcl.scene.scene import Path, read_environment
 
@@ -101,6 +103,7 @@ def relight(
     wanted: Callable[[Job], bool] | None = None,
     note: Callable[[str], object] | None = None,
     engine: Engine | None = None,
+    kept: Path | None = None,
     **settings: float | str | None,
 ) -> Generator[Frame, None, None]:
     """Images under every light, in every material, from every view, given as they are done.
@@ -124,6 +127,8 @@ def relight(
     note : called with notes on lights as they are read
     engine : what computes the images; None takes that of `factorization`. The arguments from `points` to
         `settings`, but for `up` and `repair`, are then its own affair
+    kept : a folder in which each view's visibility is kept, for other jobs with the same view of the same mesh
+        (`prtcl.scene.kept_visibility`, of the extra `bake`); images are the same, bit for bit
 
     Yields
     ------
@@ -151,6 +156,8 @@ def relight(
     if not len(rotations) or not np.isfinite(np.asarray(rotations, dtype=np.float64)).all():
         raise InputError(f"rotations: expected degrees, one or more, got {rotations}")
     mesh, bake = read_mesh_or_bake(mesh)
+    if kept is not None and bake is not None:
+        raise InputError("kept: a bake holds its visibility already; leave it out, or give the mesh")
     mesh = mesh.smooth() if smooth and bake is None else mesh
     seen = named_views([Camera.framing(mesh.bounds)] if cameras is None else cameras)
     if engine is None:
@@ -161,6 +168,7 @@ def relight(
         engine = engine_of(
             factorization, mesh, looks, device or Device(), points=points, samples=samples, two_sided=two_sided,
             bits=None if bake is None else bake.bits, hard=str(settings.get("hard") or "auto"),
+            kept=None if kept is None else KeptVisibility(kept, mesh, note),
         )  # fmt: skip
     sources = Sources(lights, up, repair, note)
     return _frames(engine, sources, seen, list(map(float, rotations)), list(materials), wanted)
@@ -168,9 +176,15 @@ def relight(
 
 def engine_of(
     factorization: str, mesh: Mesh, looks: Looks, device: Device, *, points: str, samples: int | None,
-    two_sided: bool, bits: npt.NDArray[np.uint32] | None, hard: str,
+    two_sided: bool, bits: npt.NDArray[np.uint32] | None, hard: str, tracer: Tracer | None = None,
+    kept: KeptVisibility | None = None,
 ) -> Engine:  # fmt: skip
     """The engine of a factorization.
+
+    Parameters
+    ----------
+    tracer : of the mesh; None makes it
+    kept : where visibility is kept; None traces. The others are those of `relight`, and of `Simple` and `ViewEngine`
 
     Raises
     ------
@@ -182,11 +196,13 @@ def engine_of(
     if factorization == "light":
         return Simple(
             mesh, looks, device, points=points, samples=SAMPLES if samples is None else samples,
-            two_sided=two_sided, bits=bits,
+            two_sided=two_sided, bits=bits, tracer=tracer, kept=kept,
         )  # fmt: skip
     if points == "vertex" or bits is not None:
         raise InputError("factorization: view has pixels, no vertices; choose light")
-    return ViewEngine(mesh, looks, device, samples=samples, two_sided=two_sided, hard=hard)
+    return ViewEngine(
+        mesh, looks, device, samples=samples, two_sided=two_sided, hard=hard, tracer=tracer, kept=kept
+    )
 
 
 def named_views(given: Sequence[View | Camera]) -> list[View]:

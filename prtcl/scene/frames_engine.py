@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, Protocol
 
 import numpy as np
@@ -22,6 +23,7 @@ from prtcl.factors.visibility import Tracer
 from prtcl.scene.camera import Camera
 from prtcl.scene.frames_looks import Looks
 from prtcl.scene.frames_points import Sight, see
+from prtcl.scene.kept_visibility import KeptVisibility
 from prtcl.scene.mesh import Mesh
 from prtcl.transport import collapse, shade
 from prtcl.transport.pipeline import HARD_CHUNK, Points, in_unit
@@ -46,8 +48,8 @@ class Engine(Protocol):
     def ahead(self, environment: Environment) -> None:
         """Do what can be done for a light on another thread, before its turn comes."""
 
-    def prepare(self, camera: Camera) -> None:
-        """Stand before this view: the images that follow are of it."""
+    def prepare(self, camera: Camera, pixels: npt.NDArray[np.int64] | None = None) -> None:
+        """Stand before this view: the images that follow are of it, or one row of some of its pixels, as `see` says."""
 
     def images(self, lights: Iterable[Wanted]) -> Iterator[Image]:
         """For each light, an image of each wanted material: (h, w, 4) float32, linear premultiplied RGBA.
@@ -95,16 +97,19 @@ class Simple:
     samples : N × N sub-pixel points a pixel
     two_sided : as for `Scene`
     bits : of a bake, (vertices, words); None traces
+    tracer : of the mesh; None makes it
+    kept : where the visibility of whole views is kept; None traces
     """
 
     def __init__(
         self, mesh: Mesh, looks: Looks, device: Device, *, points: str = "pixel", samples: int = 3,
-        two_sided: bool = True, bits: npt.NDArray[np.uint32] | None = None,
+        two_sided: bool = True, bits: npt.NDArray[np.uint32] | None = None, tracer: Tracer | None = None,
+        kept: KeptVisibility | None = None,
     ) -> None:  # fmt: skip
         self.mesh, self.looks, self.points, self.samples = mesh, looks, points, samples
-        self.two_sided, self.bits, self._device = two_sided, bits, device
+        self.two_sided, self.bits, self._device, self._kept = two_sided, bits, device, kept
         with device.profile.host("build_bvh"):
-            self.tracer = Tracer(mesh.vertices, mesh.faces)
+            self.tracer = tracer or Tracer(mesh.vertices, mesh.faces)
         different = list(dict.fromkeys(looks.settings))
         share = cache_bytes(device, len(different))
         self._groups: list[_Group] = []
@@ -132,14 +137,15 @@ class Simple:
             for group in self._groups:
                 scaled.split(group.settings.levels, group.settings.hard)
 
-    def prepare(self, camera: Camera) -> None:
+    def prepare(self, camera: Camera, pixels: npt.NDArray[np.int64] | None = None) -> None:
         """Shoot the camera's rays, and trace the visibility of what they hit."""
         profile, self._sight, self._seen = self.device.profile, None, {}
         with profile.host("camera_rays"):
             vertex = self.points == "vertex" or self.bits is not None
             sight = see(
-                self.mesh, self.tracer, camera, self.samples, vertex, self.two_sided, self.bits is not None
-            )
+                self.mesh, self.tracer, camera, self.samples, vertex, self.two_sided, self.bits is not None,
+                pixels,
+            )  # fmt: skip
         for group in self._groups:
             key = group.settings.rays, group.settings.visibility
             if key in self._seen:
@@ -147,12 +153,18 @@ class Simple:
             if self.bits is not None and sight.vertices is not None:
                 self._seen[key] = self.bits[sight.vertices]
                 continue
-            with profile.host("visibility_rays"):
-                points = sight.points
-                self._seen[key] = self.tracer.visibility(
-                    points.origins, points.frames, key[0], points.grid, every=key[1] == "every"
-                )
+            trace = partial(self._trace, sight.points, *key)
+            if self._kept is None or pixels is not None:
+                self._seen[key] = trace()
+            else:
+                self._seen[key] = self._kept.of_points(camera, sight.points, *key, trace)
         self._sight = sight
+
+    def _trace(self, points: Points, levels: int, mode: str) -> npt.NDArray[np.uint32]:
+        with self.device.profile.host("visibility_rays"):
+            return self.tracer.visibility(
+                points.origins, points.frames, levels, points.grid, every=mode == "every"
+            )
 
     def images(self, lights: Iterable[Wanted]) -> Iterator[Image]:
         """As `Engine.images`; one light at a time."""

@@ -78,6 +78,7 @@ def see(
     vertex: bool,
     two_sided: bool,
     fixed: bool = False,
+    pixels: npt.NDArray[np.int64] | None = None,
 ) -> Sight:
     """Shoot N × N rays through every pixel.
 
@@ -87,22 +88,27 @@ def see(
     vertex : compute radiance at the vertices, in frames turned to the eye
     two_sided : of pixels' points, as `pixel_points` takes it
     fixed : vertices keep the frames that a bake was traced in
+    pixels : (k,) flat indices of those to look through, from an eye that was checked; the image is then one row of
+        them. None looks through all
 
     Raises
     ------
     InputError
         If the camera sees nothing of the mesh, or stands inside it.
     """
-    check_eye(tracer, mesh, camera)
-    each = samples * samples
-    pixels = np.arange(camera.size[0] * camera.size[1])
+    each, size = samples * samples, camera.size
+    if pixels is None:
+        check_eye(tracer, mesh, camera)
+        pixels = np.arange(size[0] * size[1])
+    else:
+        size = len(pixels), 1
     step = max(1, BATCH // each)
     pixel, face, barycentric, points = [], [], [], []
     for start in range(0, len(pixels), step):
         some = pixels[start : start + step]
         sub = np.tile(np.arange(each), len(some))
         hits = shoot(tracer, camera, np.repeat(some, each), sub)
-        pixel.append(some[hits.ray // each])
+        pixel.append(start + hits.ray // each)
         face.append(hits.face)
         barycentric.append(hits.barycentric.astype(np.float32))
         if not vertex:
@@ -115,9 +121,7 @@ def see(
         whole = with_eye(vertex_points(mesh, tracer, None, vertices), mesh.vertices[vertices], camera.eye)
     else:
         whole = vertex_points(mesh, tracer, camera.eye, vertices)
-    return Sight(
-        camera.size, each, np.concatenate(pixel), faces, np.concatenate(barycentric), whole, vertices
-    )
+    return Sight(size, each, np.concatenate(pixel), faces, np.concatenate(barycentric), whole, vertices)
 
 
 def _joined(parts: list[Points]) -> Points:

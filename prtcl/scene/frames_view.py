@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from functools import partial
 from itertools import islice
+
+import numpy as np
+import numpy.typing as npt
 
 from prtcl.compute.device import Device
 from prtcl.errors import InputError
@@ -12,6 +16,7 @@ from prtcl.factors.visibility import Tracer
 from prtcl.scene.camera import Camera
 from prtcl.scene.frames_engine import RADIANCE, Image, Wanted
 from prtcl.scene.frames_looks import Looks
+from prtcl.scene.kept_visibility import KeptVisibility
 from prtcl.scene.mesh import Mesh
 from prtcl.scene.view_points import SIDE, ViewPoints
 from prtcl.transport.fixed_view import FixedView, rays_for
@@ -24,7 +29,7 @@ class ViewEngine:
     """Pixels of a view and their visibility are traced once; each block of lights costs their transport once.
 
     Costs a block V ⊕ f_v at every pixel and material, and a light one row of a matrix product and its own hard rays: it
-    pays from some ten lights on (`prtcl.transport.engine_choice`).
+    pays from some ten lights on (`prtcl.scene.engine_choice`).
 
     Parameters
     ----------
@@ -32,6 +37,8 @@ class ViewEngine:
     samples : N × N sub-pixel points a pixel; None takes `SIDE`
     two_sided : as for `Scene`
     hard : as in `Settings`
+    tracer : of the mesh; None makes it
+    kept : where the visibility of whole views is kept; None traces
 
     Raises
     ------
@@ -41,16 +48,16 @@ class ViewEngine:
 
     def __init__(
         self, mesh: Mesh, looks: Looks, device: Device, *, samples: int | None = None, two_sided: bool = True,
-        hard: str = "auto",
+        hard: str = "auto", tracer: Tracer | None = None, kept: KeptVisibility | None = None,
     ) -> None:  # fmt: skip
         if not serves(looks):
             raise InputError("factorization: view does not take colours of the mesh; choose light")
         self.mesh, self.looks, self._device = mesh, looks, device
         self.side, self.two_sided, self.hard = SIDE if samples is None else samples, two_sided, hard
         with device.profile.host("build_bvh"):
-            self.tracer = Tracer(mesh.vertices, mesh.faces)
+            self.tracer = tracer or Tracer(mesh.vertices, mesh.faces)
         # Of all looks, whichever are wanted: an image does not depend on the others.
-        self._rays = rays_for(looks.materials)
+        self._rays, self._kept = rays_for(looks.materials), kept
         self._worn = [[looks.materials[i] for i in own] for own in looks.full]
         self._seen: tuple[ViewPoints, FixedView] | None = None
 
@@ -62,12 +69,20 @@ class ViewEngine:
     def ahead(self, environment: Environment) -> None:
         """Nothing: lights are taken apart block by block."""
 
-    def prepare(self, camera: Camera) -> None:
+    def prepare(self, camera: Camera, pixels: npt.NDArray[np.int64] | None = None) -> None:
         """Shoot the camera's rays, and trace what each pixel sees."""
         self._seen = None
         with self.device.profile.host("camera_rays"):
-            points = ViewPoints.of(self.mesh, self.tracer, camera, self.side, two_sided=self.two_sided)
-        self._seen = points, FixedView(self.device, self.tracer, points.points, points.pixel, rays=self._rays)
+            points = ViewPoints.of(
+                self.mesh, self.tracer, camera, self.side, two_sided=self.two_sided, pixels=pixels
+            )
+        keeper = None
+        if self._kept is not None and pixels is None:
+            keeper = partial(self._kept.of_pixels, camera, self._rays)
+        self._seen = (
+            points,
+            FixedView(self.device, self.tracer, points.points, points.pixel, rays=self._rays, keeper=keeper),
+        )
 
     def images(self, lights: Iterable[Wanted]) -> Iterator[Image]:
         """As `Engine.images`; a block of lights at a time."""

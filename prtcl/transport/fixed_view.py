@@ -13,7 +13,7 @@ of light that no such cell can hold are samples of their own (`prtcl.factors.har
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -59,6 +59,12 @@ def grids_for(materials: Sequence[Material], rays: int) -> Grids:
     return Grids(light=light, fine=max(light, rays), rays=rays)
 
 
+Bits = npt.NDArray[np.uint32]
+Keeper = Callable[[Points, Pixels, Callable[[], Bits]], Bits]
+"""Gives the visibility of pixels, kept from before or traced: called with the points and pixels in the order of the
+bits, and what traces them."""
+
+
 class FixedView:
     """The pixels of one view, ready for any environments and materials.
 
@@ -71,6 +77,7 @@ class FixedView:
     rays : levels of the visibility grid, see `rays_for`
     progress : called with the number of pixels traced, from worker threads
     every : trace all cells; otherwise those alone that `prtcl.factors.refine` needs
+    keeper : see `Keeper`; None traces
 
     Notes
     -----
@@ -87,7 +94,7 @@ class FixedView:
 
     def __init__(
         self, device: Device, tracer: Tracer, points: Points, pixel: npt.ArrayLike, *, rays: int = 6,
-        progress: Progress | None = None, every: bool = False,
+        progress: Progress | None = None, every: bool = False, keeper: Keeper | None = None,
     ) -> None:  # fmt: skip
         if not 3 <= rays <= quadtree.MAX_LEVELS - 2:
             raise InputError(f"rays: expected 3 to {quadtree.MAX_LEVELS - 2} levels, got {rays}")
@@ -101,16 +108,14 @@ class FixedView:
         within = np.arange(first[-1]) - np.repeat(first[:-1], counts)
         self.points = points[np.repeat(given.first[:-1][self._order], counts) + within]
         self.pixels = Pixels(first, given.phase[self._order])
-        with device.profile.host("visibility_rays"):
-            self.bits = pixel_visibility.soft_visibility(
-                tracer,
-                self.points.origins,
-                self.points.frames[:, 2],
-                self.pixels,
-                rays,
-                progress,
-                every=every,
-            )
+
+        def trace() -> Bits:
+            with device.profile.host("visibility_rays"):
+                return pixel_visibility.soft_visibility(
+                    tracer, self.points.origins, self.points.frames[:, 2], self.pixels, rays, progress, every=every
+                )  # fmt: skip
+
+        self.bits = trace() if keeper is None else keeper(self.points, self.pixels, trace)
 
     def __len__(self) -> int:
         return len(self.pixels)

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from prtcl.compute.device import Device
 from prtcl.factors import sphere
 from prtcl.factors.environment import Environment
-from prtcl.factors.hard_groups import PROBES, HardGroups
+from prtcl.factors.hard_groups import HardGroups
 from prtcl.factors.pixel_visibility import HardRays
 from prtcl.factors.slices import Materials
 from prtcl.transport.pipeline import in_unit
@@ -69,7 +69,9 @@ class Lights:
         rays = HardRays(
             samples[:, :3].astype(np.float32), turns.astype(np.int32),
             np.append(np.concatenate(groups), len(samples)).astype(np.int32),
-            np.concatenate([own.traced for own in sets]), PROBES,
+            np.concatenate([own.traced for own in sets]),
+            np.concatenate([own.probes for own in sets]).astype(np.float32),
+            np.concatenate([own.outwards for own in sets]).astype(np.float32),
         )  # fmt: skip
         stacked = {level: np.stack(own) for level, own in means.items()}
         return cls(stacked, samples, begin.astype(np.int32), rays, np.array(units))

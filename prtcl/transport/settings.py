@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from numbers import Integral
 from typing import Any
 
 from prtcl import quadtree
@@ -54,8 +56,10 @@ class Settings:
     def __post_init__(self) -> None:
         for name in ("levels", "rays", "keep"):
             value = getattr(self, name)
-            if not 1 <= value <= quadtree.MAX_LEVELS:
-                raise InputError(f"{name}: expected 1 to {quadtree.MAX_LEVELS}, got {value}")
+            if not (_whole(value) and 1 <= value <= quadtree.MAX_LEVELS):
+                raise InputError(f"{name}: expected 1 to {quadtree.MAX_LEVELS}, got {value!r}")
+        if not (_whole(self.views) and self.views >= 1):
+            raise InputError(f"views: expected 1 or more, got {self.views!r}")
         if self.rays > self.levels or self.keep > self.levels:
             raise InputError(
                 f"rays and keep: expected at most levels = {self.levels}, got {self.rays} and {self.keep}"
@@ -64,7 +68,7 @@ class Settings:
             raise InputError(f"method: expected one of {', '.join(METHODS)}, got {self.method!r}")
         if self.hard not in HARD:
             raise InputError(f"hard-light: expected one of {', '.join(HARD)}, got {self.hard!r}")
-        if not (self.pixel_error >= 0.0 and 0.0 < self.hard_error < 1.0):
+        if not (0.0 <= self.pixel_error < math.inf and 0.0 < self.hard_error < 1.0):
             raise InputError(
                 "pixel_error and hard_error: expected 0 or more and between 0 and 1, "
                 f"got {self.pixel_error} and {self.hard_error}"
@@ -101,6 +105,10 @@ class Settings:
             for name in ("rays", "keep"):
                 fixed.setdefault(name, min(getattr(self, name), int(fixed["levels"])))  # type: ignore[arg-type]
         return replace(self, **fixed)  # type: ignore[arg-type]
+
+
+def _whole(value: object) -> bool:
+    return isinstance(value, Integral) and not isinstance(value, bool)
 
 
 def settle(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
@@ -15,20 +16,20 @@ from prtcl.apps.relight import folder, inputs, names
 from prtcl.compute.device import Device
 from prtcl.errors import InputError
 from prtcl.factors.material import Material
-from prtcl.factors.visibility import Tracer
 from prtcl.scene.bake import Bake, is_bake
 from prtcl.scene.camera import Camera, Triple
 from prtcl.scene.camera_path import View, read_views, turntable
+from prtcl.scene.engine_choice import BATCH, Choice, choose_engine
 from prtcl.scene.frames import FACTORIZATIONS, SAMPLES, jobs
 from prtcl.scene.frames_engine import with_rotation
 from prtcl.scene.frames_looks import Looks
 from prtcl.scene.frames_view import serves
+from prtcl.scene.kept_visibility import KeptVisibility
 from prtcl.scene.mesh import Mesh, read_mesh
 from prtcl.scene.plan import check_error
 from prtcl.scene.plan_frames import plan_frames
 from prtcl.scene.scene import Scene, read_environment
-from prtcl.scene.view_points import SIDE, ViewPoints
-from prtcl.transport.engine_choice import BATCH, choose_engine
+from prtcl.scene.view_points import SIDE
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,7 +42,7 @@ class Batch:
     settings : fixed by hand, as `prtcl.scene.frames.relight` takes them
     manifest : of its folder; `inputs` in it is all that the images depend on
     notes : for people
-    why : the factorization is what it is
+    choice : why the factorization is what it is, and its engine where one was tried
     """
 
     source: Mesh | Bake
@@ -55,11 +56,15 @@ class Batch:
     settings: dict[str, Any]
     manifest: dict[str, Any]
     notes: list[str]
-    why: str
+    choice: Choice
 
 
-def read(options: argparse.Namespace, device: Device) -> Batch:
+def read(options: argparse.Namespace, device: Device, note: Callable[[str], object] | None = None) -> Batch:
     """Everything but the pixels of the lights, which are read as they are needed.
+
+    Parameters
+    ----------
+    note : called with what becomes of kept visibility
 
     Raises
     ------
@@ -77,6 +82,8 @@ def read(options: argparse.Namespace, device: Device) -> Batch:
     else:
         mesh, bits = read_mesh(options.mesh), None
         source = mesh = mesh.smooth() if options.smooth else mesh
+    keep = options.keep_visibility
+    kept = None if keep is None else KeptVisibility(keep, mesh, note)
     views, notes = views_of(options, mesh)
     settings = {
         "levels": options.levels, "rays": options.rays, "keep": options.keep, "views": options.views,
@@ -99,7 +106,7 @@ def read(options: argparse.Namespace, device: Device) -> Batch:
             f"{100 * plan.predicted:.2g} %",
         ]
     points = "vertex" if isinstance(source, Bake) else options.points or "pixel"
-    factorization, why = options.factorization, "asked for"
+    choice = Choice(options.factorization, "asked for")
     light_names = names.unique(names.plain(path.stem) for path in lights)
     light_digests = [inputs.file_digest(path) for path in lights]
     specs = [(m.spec if m is not None else "own") for m in materials]
@@ -107,10 +114,11 @@ def read(options: argparse.Namespace, device: Device) -> Batch:
     view_names = names.unique(names.plain(view.name) for view in views)
     turns = names.rotation_names(rotations)
     plain = {"points": points, "samples": samples, "settings": settings}
-    if factorization == "auto":
-        factorization, why = chosen_before(Path(options.output), plain) or choose(
-            options, device, mesh, lights, rotations, materials, views, plain
+    if choice.factorization == "auto":
+        choice = chosen_before(Path(options.output), plain) or choose(
+            options, device, mesh, lights, rotations, materials, views, plain, kept
         )
+    factorization = choice.factorization
     if samples is None:
         samples = SAMPLES if factorization == "light" else SIDE
     made_of = inputs.as_json({
@@ -162,7 +170,7 @@ def read(options: argparse.Namespace, device: Device) -> Batch:
     refuse_inputs(Path(options.output), manifest, [*lights, Path(options.mesh)])
     return Batch(
         source, lights, rotations, materials, views, points, samples, factorization, settings, manifest,
-        [*mesh.notes, *notes], why,
+        [*mesh.notes, *notes], choice,
     )  # fmt: skip
 
 
@@ -170,12 +178,12 @@ MANY = 10
 """Lights from which it is worth trying both factorizations."""
 
 
-def chosen_before(output: Path, asked: dict[str, Any]) -> tuple[str, str] | None:
+def chosen_before(output: Path, asked: dict[str, Any]) -> Choice | None:
     """What a run of this job that was interrupted chose: both cost about the same there, and time is no input."""
     try:
         told = json.loads((output / folder.MANIFEST).read_bytes())["factorization"]
         if told["asked"] == inputs.as_json(asked) and told["chosen"] in FACTORIZATIONS:
-            return told["chosen"], "as the run before"
+            return Choice(told["chosen"], "as the run before")
     except (OSError, ValueError, KeyError, TypeError):
         pass
     return None
@@ -184,30 +192,27 @@ def chosen_before(output: Path, asked: dict[str, Any]) -> tuple[str, str] | None
 def choose(
     options: argparse.Namespace, device: Device, mesh: Mesh, lights: list[Path], rotations: list[float],
     materials: list[Material | None], views: list[View], asked: dict[str, Any],
-) -> tuple[str, str]:  # fmt: skip
+    kept: KeptVisibility | None = None,
+) -> Choice:  # fmt: skip
     """The factorization of a batch, and why: tried on pixels of its first view where there are many lights."""
     count = len(lights) * len(rotations)
     if asked["points"] == "vertex":
-        return "light", "vertices are shaded so"
+        return Choice("light", "vertices are shaded so")
     if options.error is not None:
-        return "light", "an --error is planned for it"
+        return Choice("light", "an --error is planned for it")
     if count < MANY:
-        return "light", f"{count} lights are too few for a transport of their own"
-    looks = Looks(materials, mesh)
+        return Choice("light", f"{count} lights are too few for a transport of their own")
+    looks = Looks(materials, mesh, **asked["settings"])
     if not serves(looks):
-        return "light", "a material has the mesh's own colour"
+        return Choice("light", "a material has the mesh's own colour")
     first, _ = read_environment(lights[0], up=options.env_up, repair=options.repair)
     turned = [with_rotation(first, degrees) for degrees in rotations[:BATCH]]
     # Of all lights only the number counts; the first stands for the others.
     environments = [turned[number % len(turned)] for number in range(count)]
-    tracer = Tracer(mesh.vertices, mesh.faces)
-    points = ViewPoints.of(
-        mesh, tracer, views[0].camera, SIDE if asked["samples"] is None else asked["samples"],
-        two_sided=not options.one_sided,
+    return choose_engine(
+        mesh, looks, device, views[0].camera, environments, samples=asked["samples"],
+        two_sided=not options.one_sided, hard=asked["settings"]["hard"] or "auto", kept=kept,
     )  # fmt: skip
-    worn = [[looks.materials[i] for i in own] for own in looks.full]
-    choice = choose_engine(device, tracer, points.points, points.pixel, environments, worn)
-    return choice.engine, choice.reason
 
 
 def check(options: argparse.Namespace) -> None:
@@ -221,6 +226,10 @@ def check(options: argparse.Namespace) -> None:
     if is_bake(options.mesh) and options.points == "pixel":
         raise InputError(
             f"--points pixel: {options.mesh} holds the rays of vertices, not of pixels; relight the mesh it was made of"
+        )
+    if is_bake(options.mesh) and options.keep_visibility is not None:
+        raise InputError(
+            f"--keep-visibility: {options.mesh} holds its visibility already; leave one of them out"
         )
     if options.error is not None:
         check_error(options.error)

@@ -25,11 +25,11 @@ def run(options: argparse.Namespace) -> int:
     """Make what is missing of the batch, and report."""
     start = time.perf_counter()
     device = Device(options.device, precision=options.precision)
-    job = batch.read(options, device)
+    job = batch.read(options, device, _note)
     for note in job.notes:
         _note(note)
     if options.explain:
-        _note(f"factorization {job.factorization}: {job.why}")
+        _note(f"factorization {job.factorization}: {job.choice.reason}")
     tell: Tell = _event if options.json else _silent
     with opened(options.output, job.manifest, options.overwrite) as folder:
         report = make(job, folder, device, options, tell)
@@ -80,7 +80,7 @@ def make(
             frames = relight(
                 job.source, job.lights, job.materials, job.views, rotations=job.rotations, points=job.points,
                 samples=job.samples, factorization=job.factorization, up=options.env_up, repair=options.repair,
-                device=device,
+                device=device, engine=job.choice.engine, kept=options.keep_visibility,
                 two_sided=not options.one_sided, wanted=lambda own: own.index not in finished, note=_note,
                 **job.settings,
             )  # fmt: skip

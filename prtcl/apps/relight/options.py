@@ -59,6 +59,10 @@ def register(commands: Any, run: Callable[[argparse.Namespace], int]) -> None:
         help="relative RMSE to aim for: finds the rays and points that meet it in every material under the first light "
         "from the first view",
     )  # fmt: skip
+    command.add_argument(
+        "--keep-visibility", metavar="DIR",
+        help="keep what each view sees, for other jobs with the same views of the same mesh (needs the extra `bake`)",
+    )  # fmt: skip
     add_points(command)
     command.add_argument("--png", action="store_true", help="also 8-bit sRGB previews")
     command.add_argument(

@@ -1,0 +1,84 @@
+"""Which factorization serves a batch: what is tried, what is told, and that the job goes on with it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from prtcl.compute.device import Device
+from prtcl.errors import InputError
+from prtcl.factors.environment import Environment
+from prtcl.scene import engine_choice
+from prtcl.scene.camera import Camera
+from prtcl.scene.engine_choice import Cost, choose_engine, decide
+from prtcl.scene.frames import FACTORIZATIONS, relight
+from prtcl.scene.frames_engine import Simple
+from prtcl.scene.frames_looks import Looks
+from prtcl.scene.frames_view import ViewEngine
+from prtcl.scene.mesh import Mesh
+
+CAMERA = Camera((3.1, 2.5, 5.4), (-0.1, 0.75, -0.3), fov=38.0, size=(24, 18))
+COARSE: dict[str, Any] = {"levels": 4, "rays": 3, "keep": 4, "views": 16}
+MATERIALS = ["lambert:albedo=0.5", "ggx:alpha=0.3,f0=0.04"]
+
+
+def test_the_cheaper_engine_is_taken_and_the_reason_says_why() -> None:
+    light, view = Cost(once=0.5, each=1.0), Cost(once=5.0, each=0.1, apart=0.01)
+    assert view.total(10, 2.0) == pytest.approx(2 * (5 + 1) + 0.1)
+    (few, _), (many, reason) = (decide(light, view, n, 3, 100, 100) for n in (2, 50))
+    assert few == "light" and many == "view"
+    assert reason.startswith("V ⊕ f_v") and "50 environments × 3 materials" in reason
+    assert "10.5 s" in reason and "50.5 s" in reason
+    # Resampling costs the same for ten times the pixels, so the balance shifts with them.
+    assert decide(Cost(0, 1), Cost(0, 0.5, 2), 4, 1, 100, 100)[0] == "light"
+    assert decide(Cost(0, 1), Cost(0, 0.5, 2), 4, 1, 1000, 100)[0] == "view"
+
+
+@pytest.mark.parametrize("cheap", FACTORIZATIONS)
+def test_the_job_goes_on_with_what_was_tried(
+    device: Device, mesh: Mesh, sky: Environment, monkeypatch: pytest.MonkeyPatch, cheap: str
+) -> None:
+    """Both engines are timed as they are; the chosen one then gives the images that a new one gives, bit for bit."""
+    costs: dict[str, Cost] = {}
+    for name in FACTORIZATIONS:
+        real = getattr(engine_choice, f"{name}_cost")
+
+        def measured(*given: Any, name: str = name, real: Any = real) -> Cost:
+            costs[name] = real(*given)
+            return Cost(1.0 if name == cheap else 2.0, 0.0)
+
+        monkeypatch.setattr(engine_choice, f"{name}_cost", measured)
+    monkeypatch.setattr(engine_choice, "SAMPLE", 40)
+    lights = [replace(sky, rotate=float(r)) for r in range(3)]
+    choice = choose_engine(mesh, Looks(MATERIALS, mesh, **COARSE), device, CAMERA, lights, samples=2)
+    assert choice.factorization == cheap
+    assert isinstance(choice.engine, Simple if cheap == "light" else ViewEngine)
+    assert "3 environments × 2 materials" in choice.reason and "tried on 40 pixels" in choice.reason
+    assert costs["light"].once > 0 and costs["light"].each > 0 and costs["light"].apart == 0
+    assert costs["view"].once > 0 and costs["view"].apart > 0
+    arguments: tuple[Any, ...] = (mesh, lights[:2], MATERIALS, [CAMERA])
+    going_on = relight(*arguments, engine=choice.engine)
+    anew = relight(*arguments, samples=2, factorization=cheap, device=device, **COARSE)
+    for one, other in zip(going_on, anew, strict=True):
+        assert one.job == other.job and one.image.any() and (one.image == other.image).all()
+
+
+def test_some_pixels_are_seen_as_among_all(device: Device, mesh: Mesh, sky: Environment) -> None:
+    """A trial's row of pixels is the image's own, where no neighbour in a tile matters: bit for bit."""
+    engine = Simple(mesh, Looks(MATERIALS, mesh, **COARSE), device, samples=2)
+    engine.prepare(CAMERA)
+    whole = list(engine.images([(sky, (0, 1))]))
+    some = np.arange(7, 24 * 18, 5)
+    engine.prepare(CAMERA, some)
+    for image, row in zip(whole, engine.images([(sky, (0, 1))]), strict=True):
+        assert row.shape == (1, len(some), 4)
+        assert (row[0] == image.reshape(-1, 4)[some]).all() and (row[..., 3] > 0).mean() > 0.3
+
+
+def test_a_view_of_nothing_is_refused(device: Device, mesh: Mesh, sky: Environment) -> None:
+    away = replace(CAMERA, target=(10.0, 2.5, 5.4))
+    with pytest.raises(InputError, match="sees nothing"):
+        choose_engine(mesh, Looks(MATERIALS, mesh), device, away, [sky])
