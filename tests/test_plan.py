@@ -295,12 +295,13 @@ def test_files_that_are_no_plans_are_refused(planned: Render, tmp_path: Path) ->
     whole = path.read_text()
     data = json.loads(whole)
     changes: list[dict[str, object]] = [
-        {"format": 99}, {"settings": []}, {"settings": [{"levels": 99}]}, *({"settings": [{**data["settings"][0], **own}]} for own in (
-            {"levels": 5.0}, {"keep": True}, {"views": 0}, {"views": "many"}, {"pixel_error": float("inf")})), {"points": "voxel"}, {"surprise": 1},
+        {"format": 99}, {"settings": []}, {"settings": [{"levels": 99}]}, {"points": "voxel"}, {"surprise": 1},
         {"asked": 5}, {"asked": float("nan")}, {"predicted": -1.0}, {"predicted": "x"}, {"noise_ratio": -1.0},
         {"noise_ratio": True}, {"bias": None}, {"confidence": 2.0}, {"steered": 1}, {"scene": []}, {"scene": {"x": 1}},
         {"trials": [{**data["trials"][0], "noise": []}]},
     ]  # fmt: skip
+    wrong = ({"levels": 5.0}, {"keep": True}, {"views": 0}, {"views": "many"}, {"pixel_error": float("inf")})
+    changes += [{"settings": [{**data["settings"][0], **own}]} for own in wrong]
     broken = ["", "[]", "{}", whole[: len(whole) // 2], *(json.dumps({**data, **own}) for own in changes)]
     for text in broken:
         path.write_text(text)
