@@ -23,6 +23,30 @@ def add_common(command: argparse.ArgumentParser) -> None:
     command.add_argument("--json", action="store_true", help="the run's report as JSON on standard output")
 
 
+def add_scheduler(command: argparse.ArgumentParser, places: str, tasks: str, default: str) -> None:
+    """Options that spread a command over machines.
+
+    Parameters
+    ----------
+    places : what has a worker each, in words
+    tasks : what a task takes several of, which its worker's death costs
+    default : how many, in words
+    """
+    many = command.add_argument_group(
+        "many machines (Dask.distributed: pip install 'prtcl[cluster]'; see docs/cluster.md)"
+    )
+    many.add_argument(
+        "--scheduler", metavar="tcp://HOST:PORT",
+        help="have the workers of this scheduler do it: `dask scheduler` on one machine, then `dask worker "
+        f"tcp://HOST:PORT --nthreads 1 --memory-limit 0` {places}; the result is the same, byte for byte (default: "
+        "this process does it)",
+    )  # fmt: skip
+    many.add_argument(
+        "--chunk", type=whole(1), metavar="N",
+        help=f"{tasks} that a worker takes at once, and that have to be made again where it dies (default: {default})",
+    )  # fmt: skip
+
+
 def add_scene(
     command: argparse.ArgumentParser, several: bool = False, pixels: tuple[int, int] = (512, 512)
 ) -> None:

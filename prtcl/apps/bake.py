@@ -7,6 +7,8 @@ import json
 import sys
 import time
 
+from prtcl.apps import bake_cluster
+from prtcl.apps.cluster import connected
 from prtcl.apps.progress import bar
 from prtcl.files.array_store import SUMS, import_zarr
 from prtcl.files.atomic import check_not_input, check_writable
@@ -30,10 +32,13 @@ def run(options: argparse.Namespace) -> int:
     mesh = mesh.smooth() if options.smooth else mesh
     for note in mesh.notes:
         print(f"prtcl bake: {note}", file=sys.stderr)
-    with bar("bake", options.quiet) as notify:
+    with connected(options.scheduler) as workers, bar("bake", options.quiet) as notify:
         count = Counter(notify)
         count.expect("vertex", len(mesh.vertices))
-        bake = Bake.trace(mesh, options.rays, progress=count)
+        if workers is None:
+            bake = Bake.trace(mesh, options.rays, progress=count)
+        else:
+            bake = bake_cluster.trace(workers, mesh, options.rays, options.chunk, count)
     bake.save(options.output)
     seconds = time.perf_counter() - start
     report = {

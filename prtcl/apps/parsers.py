@@ -13,6 +13,7 @@ from prtcl.apps.arguments import (
     add_device,
     add_plan,
     add_scene,
+    add_scheduler,
     gibibytes,
     nodes,
     size,
@@ -79,6 +80,7 @@ def parser() -> Parser:
         "--rays", type=int, default=5, metavar="R", help="4^R rays a vertex (default: %(default)s)"
     )
     bake.add_argument("--smooth", action="store_true", help="vertex normals averaged over the faces")
+    add_scheduler(bake, "on each machine", "vertices", "four million rays")
     add_common(bake)
     bake.set_defaults(run=commands.bake)
 

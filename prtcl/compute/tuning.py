@@ -87,6 +87,11 @@ KNOWN: dict[str, Tunable] = {}
 """All tunables of the modules that were imported, by name."""
 
 
+def forms_of(device: Device) -> dict[str, Form]:
+    """The form in which each kernel runs on a device."""
+    return {name: tunable.of(device) for name, tunable in KNOWN.items()}
+
+
 def key_of(device: Device) -> str:
     """What a measurement holds for: platform, device and driver."""
     return f"{device.platform} / {device.name} / {device.driver}"

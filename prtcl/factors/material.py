@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import math
+import os
 from dataclasses import dataclass, field, replace
 from typing import Any
 from weakref import WeakKeyDictionary
@@ -245,6 +246,12 @@ def pack(
             tables += parts
             offset += sum(part.size for part in parts)
     return ints, reals, np.concatenate(tables) if tables else np.zeros(1)
+
+
+def anchored(spec: str, folder: str) -> str:
+    """The SPEC with the file it names, if any, found from a folder where its path is relative."""
+    kind, _, rest = spec.partition(":")
+    return f"{kind}:{os.path.join(folder, rest)}" if rest and kind in ("table", *MEASURED) else spec
 
 
 def _assignments(spec: str, text: str) -> dict[str, str]:

@@ -40,12 +40,9 @@ class Bake:
     @classmethod
     def trace(cls, mesh: Mesh, rays: int = 5, progress: Progress | None = None) -> Bake:
         """Trace 4**rays rays from every vertex."""
-        if not 1 <= rays <= quadtree.MAX_LEVELS:
-            raise InputError(f"rays: expected 1 to {quadtree.MAX_LEVELS} levels, got {rays}")
-        mesh = mesh if mesh.normals is not None else mesh.smooth()
+        mesh = ready(mesh, rays)
         tracer = Tracer(mesh.vertices, mesh.faces)
-        points = vertex_points(mesh, tracer)
-        return cls(mesh, tracer.visibility(points.origins, points.frames, rays, progress=progress), rays)
+        return cls(mesh, visible(mesh, tracer, rays, progress=progress), rays)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write an .npz, or a Zarr store where the name ends in .zarr, aside and then renamed.
@@ -107,6 +104,34 @@ class Bake:
         own = mesh_of(text_of(name, data, "name") or "bake", data)
         own = own if mesh is None else require_mesh(name, own, mesh)
         return cls(own, data["bits"], int(data["rays"]))
+
+
+def ready(mesh: Mesh, rays: int) -> Mesh:
+    """The mesh as it is baked: with normals.
+
+    Raises
+    ------
+    InputError
+        If `rays` is out of range.
+    """
+    if not 1 <= rays <= quadtree.MAX_LEVELS:
+        raise InputError(f"rays: expected 1 to {quadtree.MAX_LEVELS} levels, got {rays}")
+    return mesh if mesh.normals is not None else mesh.smooth()
+
+
+def visible(
+    mesh: Mesh, tracer: Tracer, rays: int, only: npt.NDArray[np.integer] | None = None, progress: Progress | None = None
+) -> npt.NDArray[np.uint32]:  # fmt: skip
+    """Visibility bits of a mesh's vertices, as `Bake.bits` has them; each depends on no other.
+
+    Parameters
+    ----------
+    mesh : as `ready` gives it; tracer : of it
+    only : indices of the vertices wanted; None is all
+    progress : called with the number of vertices done, from worker threads
+    """
+    points = vertex_points(mesh, tracer, only=only)
+    return tracer.visibility(points.origins, points.frames, rays, progress=progress)
 
 
 def is_bake(path: str | os.PathLike[str]) -> bool:

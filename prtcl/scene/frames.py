@@ -87,7 +87,7 @@ class Frame:
 
 def relight(
     mesh: Mesh | Bake | Path,
-    lights: Sequence[Light],
+    lights: Sequence[Light] | Sources,
     materials: Sequence[str | Material | Sequence[str | Material] | None] = (None,),
     cameras: Sequence[View | Camera] | None = None,
     *,
@@ -112,7 +112,7 @@ def relight(
     ----------
     mesh : a `Mesh` or a path to one, or a `Bake` or a path to one (.npz), whose vertices are then shaded
     lights : an `Environment`, a path to an EXR or HDR map, or an array (h, 2 h, 3) each. Files are read as they are
-        needed, on another thread, while images are computed
+        needed, on another thread, while images are computed. `Sources` keep what they have read from call to call
     materials : for each a SPEC or a `Material`; a list of one for each part of the mesh; or None for the mesh's own
     cameras : the views, with names or without; None frames the mesh
     rotations : degrees by which each light is turned, about its up axis, counter-clockwise seen from above
@@ -161,17 +161,36 @@ def relight(
     mesh = mesh.smooth() if smooth and bake is None else mesh
     seen = named_views([Camera.framing(mesh.bounds)] if cameras is None else cameras)
     if engine is None:
-        looks = Looks(
-            materials, mesh, alone=points == "vertex" or bake is not None,
-            baked=None if bake is None else bake.rays, **settings,
+        engine = engine_for(
+            mesh if bake is None else bake, materials, device or Device(), points=points, samples=samples,
+            factorization=factorization, two_sided=two_sided,
+            kept=None if kept is None else KeptVisibility(kept, mesh, note), **settings,
         )  # fmt: skip
-        engine = engine_of(
-            factorization, mesh, looks, device or Device(), points=points, samples=samples, two_sided=two_sided,
-            bits=None if bake is None else bake.bits, hard=str(settings.get("hard") or "auto"),
-            kept=None if kept is None else KeptVisibility(kept, mesh, note),
-        )  # fmt: skip
-    sources = Sources(lights, up, repair, note)
+    sources = lights if isinstance(lights, Sources) else Sources(lights, up, repair, note)
     return _frames(engine, sources, seen, list(map(float, rotations)), list(materials), wanted)
+
+
+def engine_for(
+    source: Mesh | Bake, materials: Sequence[str | Material | Sequence[str | Material] | None], device: Device, *,
+    points: str = "pixel", samples: int | None = None, factorization: str = "light", two_sided: bool = True,
+    kept: KeptVisibility | None = None, **settings: float | str | None,
+) -> Engine:  # fmt: skip
+    """What computes the images of a batch; arguments as for `relight` and `engine_of`.
+
+    Raises
+    ------
+    InputError
+        As `engine_of`.
+    """
+    mesh, bake = read_mesh_or_bake(source)
+    looks = Looks(
+        materials, mesh, alone=points == "vertex" or bake is not None,
+        baked=None if bake is None else bake.rays, **settings,
+    )  # fmt: skip
+    return engine_of(
+        factorization, mesh, looks, device, points=points, samples=samples, two_sided=two_sided,
+        bits=None if bake is None else bake.bits, hard=str(settings.get("hard") or "auto"), kept=kept,
+    )  # fmt: skip
 
 
 def engine_of(
@@ -189,7 +208,7 @@ def engine_of(
     Raises
     ------
     InputError
-        If there is no such one, or it does not take what is asked of it.
+        If there is no such factorization, or it does not take what is asked of it.
     """
     if factorization not in FACTORIZATIONS:
         raise InputError(f"factorization: expected one of {', '.join(FACTORIZATIONS)}, got {factorization!r}")

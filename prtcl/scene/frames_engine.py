@@ -48,8 +48,18 @@ class Engine(Protocol):
     def ahead(self, environment: Environment) -> None:
         """Do what can be done for a light on another thread, before its turn comes."""
 
-    def prepare(self, camera: Camera, pixels: npt.NDArray[np.int64] | None = None) -> None:
-        """Stand before this view: the images that follow are of it, or one row of some of its pixels, as `see` says."""
+    def prepare(self, camera: Camera, pixels: npt.NDArray[np.int64] | None = None, traced: Any = None) -> Any:
+        """Stand before this view: the images that follow are of it.
+
+        Parameters
+        ----------
+        pixels : the images are one row of these, as `see` says; None takes all
+        traced : what `prepare` of an engine made alike, in another process, returned for this view; None traces
+
+        Returns
+        -------
+        traced : the visibility of the view's points, in arrays, which takes most of the time
+        """
 
     def images(self, lights: Iterable[Wanted]) -> Iterator[Image]:
         """For each light, an image of each wanted material: (h, w, 4) float32, linear premultiplied RGBA.
@@ -137,9 +147,17 @@ class Simple:
             for group in self._groups:
                 scaled.split(group.settings.levels, group.settings.hard)
 
-    def prepare(self, camera: Camera, pixels: npt.NDArray[np.int64] | None = None) -> None:
-        """Shoot the camera's rays, and trace the visibility of what they hit."""
-        profile, self._sight, self._seen = self.device.profile, None, {}
+    def prepare(
+        self, camera: Camera, pixels: npt.NDArray[np.int64] | None = None,
+        traced: dict[tuple[int, str], npt.NDArray[np.uint32]] | None = None,
+    ) -> dict[tuple[int, str], npt.NDArray[np.uint32]]:  # fmt: skip
+        """Shoot the camera's rays, and trace the visibility of what they hit.
+
+        Returns
+        -------
+        traced : bits (points, words) by levels and --visibility; none where a bake has them
+        """
+        profile, self._sight, self._seen = self.device.profile, None, dict(traced or {})
         with profile.host("camera_rays"):
             vertex = self.points == "vertex" or self.bits is not None
             sight = see(
@@ -159,6 +177,7 @@ class Simple:
             else:
                 self._seen[key] = self._kept.of_points(camera, sight.points, *key, trace)
         self._sight = sight
+        return {} if self.bits is not None else self._seen
 
     def _trace(self, points: Points, levels: int, mode: str) -> npt.NDArray[np.uint32]:
         with self.device.profile.host("visibility_rays"):

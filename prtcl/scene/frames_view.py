@@ -19,7 +19,7 @@ from prtcl.scene.frames_looks import Looks
 from prtcl.scene.kept_visibility import KeptVisibility
 from prtcl.scene.mesh import Mesh
 from prtcl.scene.view_points import SIDE, ViewPoints
-from prtcl.transport.fixed_view import FixedView, rays_for
+from prtcl.transport.fixed_view import Bits, FixedView, Keeper, rays_for
 
 TOGETHER = 128
 """Lights of one product, at most: transport is made anew for each block."""
@@ -69,20 +69,26 @@ class ViewEngine:
     def ahead(self, environment: Environment) -> None:
         """Nothing: lights are taken apart block by block."""
 
-    def prepare(self, camera: Camera, pixels: npt.NDArray[np.int64] | None = None) -> None:
-        """Shoot the camera's rays, and trace what each pixel sees."""
+    def prepare(
+        self, camera: Camera, pixels: npt.NDArray[np.int64] | None = None,
+        traced: npt.NDArray[np.uint32] | None = None,
+    ) -> npt.NDArray[np.uint32]:  # fmt: skip
+        """Shoot the camera's rays, and trace what each pixel sees: `FixedView.bits`."""
         self._seen = None
         with self.device.profile.host("camera_rays"):
             points = ViewPoints.of(
                 self.mesh, self.tracer, camera, self.side, two_sided=self.two_sided, pixels=pixels
             )
-        keeper = None
-        if self._kept is not None and pixels is None:
+        keeper: Keeper | None = None
+        if traced is not None:
+            keeper = partial(_given, traced)
+        elif self._kept is not None and pixels is None:
             keeper = partial(self._kept.of_pixels, camera, self._rays)
-        self._seen = (
-            points,
-            FixedView(self.device, self.tracer, points.points, points.pixel, rays=self._rays, keeper=keeper),
+        view = FixedView(
+            self.device, self.tracer, points.points, points.pixel, rays=self._rays, keeper=keeper
         )
+        self._seen = points, view
+        return view.bits
 
     def images(self, lights: Iterable[Wanted]) -> Iterator[Image]:
         """As `Engine.images`; a block of lights at a time."""
@@ -100,6 +106,11 @@ class ViewEngine:
             for number, (_, wanted) in enumerate(block):
                 for look in wanted:
                     yield points.image(radiance[looks.index(look), number])
+
+
+def _given(bits: Bits, *_: object) -> Bits:
+    """The keeper of bits that another process traced."""
+    return bits
 
 
 def serves(looks: Looks) -> bool:

@@ -59,12 +59,16 @@ class Batch:
     choice: Choice
 
 
-def read(options: argparse.Namespace, device: Device, note: Callable[[str], object] | None = None) -> Batch:
+def read(
+    options: argparse.Namespace, device: Device, note: Callable[[str], object] | None = None,
+    materials: list[Material | None] | None = None,
+) -> Batch:  # fmt: skip
     """Everything but the pixels of the lights, which are read as they are needed.
 
     Parameters
     ----------
     note : called with what becomes of kept visibility
+    materials : read already, no two of one SPEC; None reads those of the options
 
     Raises
     ------
@@ -73,8 +77,9 @@ def read(options: argparse.Namespace, device: Device, note: Callable[[str], obje
     """
     check(options)
     lights = inputs.environments(options.env)
-    given = dict.fromkeys(options.brdf or [None])
-    materials = [None if spec is None else Material.parse(spec) for spec in given]
+    if materials is None:
+        given = dict.fromkeys(options.brdf or [None])
+        materials = [None if spec is None else Material.parse(spec) for spec in given]
     rotations = list(dict.fromkeys(chain.from_iterable(options.env_rotate or [[0.0]])))
     if is_bake(options.mesh):
         source: Mesh | Bake = read_bake(options.mesh, options.rays, options.smooth)

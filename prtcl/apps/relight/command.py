@@ -7,16 +7,14 @@ import json
 import sys
 import time
 from collections.abc import Callable
-from contextlib import closing
 from typing import Any
 
+from prtcl.apps.cluster import Workers, connected
 from prtcl.apps.progress import bar
-from prtcl.apps.relight import batch
+from prtcl.apps.relight import batch, cluster
 from prtcl.apps.relight.folder import MANIFEST, Folder, opened
-from prtcl.apps.relight.writer import Writer
+from prtcl.apps.relight.images import SECONDS, make_images
 from prtcl.compute.device import Device
-from prtcl.scene.frames import relight
-from prtcl.scene.frames_engine import BUSY
 
 Tell = Callable[..., None]
 
@@ -24,20 +22,21 @@ Tell = Callable[..., None]
 def run(options: argparse.Namespace) -> int:
     """Make what is missing of the batch, and report."""
     start = time.perf_counter()
-    device = Device(options.device, precision=options.precision)
-    job = batch.read(options, device, _note)
-    for note in job.notes:
-        _note(note)
-    if options.explain:
-        _note(f"factorization {job.factorization}: {job.choice.reason}")
-    tell: Tell = _event if options.json else _silent
-    with opened(options.output, job.manifest, options.overwrite) as folder:
-        report = make(job, folder, device, options, tell)
+    with connected(options.scheduler) as workers:
+        device = Device(options.device, precision=options.precision)
+        job = batch.read(options, device, _note)
+        for note in job.notes:
+            _note(note)
+        if options.explain:
+            _note(f"factorization {job.factorization}: {job.choice.reason}")
+        tell: Tell = _event if options.json else _silent
+        with opened(options.output, job.manifest, options.overwrite) as folder:
+            report = make(job, folder, device, options, tell, workers)
     seconds = time.perf_counter() - start
     report |= {
         "seconds": round(seconds, 3),
         "frames_per_second": round(report["frames"] / seconds, 3),
-        "utilisation": round(report["busy"] / seconds, 3),
+        "utilisation": round(report["busy"] / (seconds * report["workers"]), 3),
     }
     tell("summary", **report)
     if not options.json and not options.quiet:
@@ -46,12 +45,14 @@ def run(options: argparse.Namespace) -> int:
 
 
 def make(
-    job: batch.Batch, folder: Folder, device: Device, options: argparse.Namespace, tell: Tell
-) -> dict[str, Any]:
+    job: batch.Batch, folder: Folder, device: Device, options: argparse.Namespace, tell: Tell,
+    workers: Workers | None,
+) -> dict[str, Any]:  # fmt: skip
     """Compute and write the images that are missing; returns what is told of them.
 
     `busy` is the sum of the kernels' seconds, by OpenCL's own clock, and the wall seconds in which rays were traced.
-    Where a GPU computes while the host traces, both count.
+    Where a GPU computes while the host traces, both count. With workers these are sums over them, and utilisation is
+    that of all their devices together.
     """
     entries = job.manifest["frames"]
     finished = folder.finished
@@ -63,7 +64,7 @@ def make(
     for number in sorted(finished):
         tell("skipped", index=number, **entries[number])
     device.profile.reset()
-    waited = written = 0.0
+    spent, count = dict.fromkeys(SECONDS, 0.0), 1
     if waiting:
         with bar("relight", options.quiet, " images", scale=False) as notify:
             done = 0
@@ -77,30 +78,20 @@ def make(
 
             if notify is not None:
                 notify(0, waiting)
-            frames = relight(
-                job.source, job.lights, job.materials, job.views, rotations=job.rotations, points=job.points,
-                samples=job.samples, factorization=job.factorization, up=options.env_up, repair=options.repair,
-                device=device, engine=job.choice.engine, kept=options.keep_visibility,
-                two_sided=not options.one_sided, wanted=lambda own: own.index not in finished, note=_note,
-                **job.settings,
-            )  # fmt: skip
-            with closing(frames), Writer(folder, options.exposure, told) as writer:
-                for frame in frames:
-                    writer.put(frame)
-            waited, written = writer.waited, writer.busy
-    host, kernels = device.profile.host_seconds(), sum(device.profile.device_seconds().values())
-    rays = sum(host.get(stage, 0.0) for stage in BUSY)
+            if workers is None:
+                spent = make_images(
+                    job, folder, device, options, wanted=lambda own: own.index not in finished, told=told, note=_note
+                )  # fmt: skip
+            else:
+                spent, count = cluster.spread(workers, options, job, folder, device, told, _note)
     return {
         "output": options.output,
         "frames": waiting,
         "skipped": len(finished),
         "device": device.name,
-        "busy": round(kernels + rays, 3),
-        "kernel_seconds": round(kernels, 3),
-        "ray_seconds": round(rays, 3),
-        "waited_for_light_seconds": round(host.get("wait_for_light", 0.0), 3),
-        "waited_for_writing_seconds": round(waited, 3),
-        "writing_seconds": round(written, 3),
+        "workers": count,
+        "busy": round(spent["kernel_seconds"] + spent["ray_seconds"], 3),
+        **{name: round(seconds, 3) for name, seconds in spent.items()},
     }
 
 
@@ -108,11 +99,12 @@ def summary(output: str, report: dict[str, Any]) -> str:
     """One line on what was made."""
     if not report["frames"]:
         return f"{output}: all {report['skipped']} images were there"
+    more = f" × {report['workers']}" if report["workers"] > 1 else ""
     there = f", {report['skipped']} were there" if report["skipped"] else ""
     return (
         f"{output}: {report['frames']} images{there}, {report['seconds']:.1f} s, "
         f"{report['frames_per_second']:.2f} images/s, kernels or rays ran {100 * report['utilisation']:.0f} % of the "
-        f"time, on {report['device']}"
+        f"time, on {report['device']}{more}"
     )
 
 

@@ -13,12 +13,12 @@ import json
 import os
 import re
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 from prtcl.apps.relight.inputs import file_digest
-from prtcl.apps.relight.lock import locked
+from prtcl.apps.relight.lock import locked, unchanged
 from prtcl.errors import InputError, PrtclError
 from prtcl.files.atomic import made_folder, replacing
 
@@ -60,15 +60,13 @@ class Folder:
         PrtclError
             If it cannot be written.
         """
-        with _writing(self.path):
-            for path in self.path.iterdir():
-                if _ASIDE.fullmatch(path.name):
-                    path.unlink()
+        with _writing(self.path), unchanged(self.path / MANIFEST, alone=True):
+            self._sweep()
             was = self._read_manifest()
             if was != self.manifest:
                 if was is not None and not overwrite:
                     raise InputError(
-                        f"{self.path}: holds another job's images; what differs is {_difference(was, self.manifest)}\n"
+                        f"{self.path}: holds another job's images; what differs is {difference(was, self.manifest)}\n"
                         "choose another folder with -o, or replace them with --overwrite"
                     )
                 if was is None and not overwrite:
@@ -105,16 +103,30 @@ class Folder:
             If it cannot be written whole: nothing of it is left then.
         """
         with _writing(self.path / name):
-            with replacing(self.path / name) as aside:
+            with ExitStack() as held, replacing(self.path / name) as aside:
                 write(aside)
                 digest = _flushed(aside)
+                held.enter_context(self.naming())
             _flush_folder(self.path)
         return digest
 
+    @contextmanager
+    def naming(self) -> Iterator[None]:
+        """What is held while a file gets its name: whoever has the folder's lock need not ask."""
+        yield
+
     def end(self) -> None:
-        """Put the journal in order, as an uninterrupted run leaves it."""
+        """Put the folder in order, as an uninterrupted run leaves it."""
+        with _writing(self.path):
+            self._sweep()
         if list(self._lines) != sorted(self._lines):
             self._rewrite()
+
+    def _sweep(self) -> None:
+        """Remove what a process that was killed has left half written."""
+        for path in self.path.iterdir():
+            if _ASIDE.fullmatch(path.name):
+                path.unlink(missing_ok=True)
 
     def _rewrite(self) -> None:
         self._lines = dict(sorted(self._lines.items()))
@@ -205,7 +217,7 @@ def _writing(what: Path) -> Iterator[None]:
     """What goes wrong with the disk is told in two lines, with what to do."""
     try:
         yield
-    except _Failed:
+    except Failed:
         raise
     except InputError as error:
         if not isinstance(error.__cause__, OSError):
@@ -217,7 +229,7 @@ def _writing(what: Path) -> Iterator[None]:
         raise _failed(what, error) from error
 
 
-class _Failed(PrtclError):
+class Failed(PrtclError):
     """Told already."""
 
 
@@ -226,13 +238,13 @@ def _failed(what: Path, error: BaseException) -> PrtclError:
         reason = error.strerror or str(error)
     else:  # a writer's own words, without the name of the file that it wrote aside
         reason = str(error).splitlines()[0].partition(": ")[2] or str(error)
-    return _Failed(
+    return Failed(
         f"{what}: cannot be written: {reason}\n"
         "finished images are kept; when there is room, the same command makes what is missing"
     )
 
 
-def _difference(was: dict[str, Any], wanted: dict[str, Any]) -> str:
+def difference(was: dict[str, Any], wanted: dict[str, Any]) -> str:
     """The first thing in which two manifests differ, in words."""
     before, now = was.get("inputs"), wanted["inputs"]
     if was.get("format") != wanted["format"] or not isinstance(before, dict):

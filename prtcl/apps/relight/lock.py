@@ -64,6 +64,44 @@ def locked(folder: Path) -> Iterator[None]:
         os.close(file)
 
 
+@contextmanager
+def unchanged(path: Path, alone: bool) -> Iterator[int | None]:
+    """Hold a file, which is only ever replaced whole, as it is now: those that replace it, or read it so, wait.
+
+    Parameters
+    ----------
+    alone : for the one that replaces it; otherwise with others that read it
+
+    Yields
+    ------
+    int or None
+        A descriptor to read it by; None where there is no such file.
+
+    Raises
+    ------
+    OSError
+        If it cannot be opened, or the file system has no locks.
+    """
+    import fcntl
+
+    while True:
+        try:
+            file = os.open(path, os.O_RDWR if alone else os.O_RDONLY)
+        except FileNotFoundError:
+            yield None
+            return
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX if alone else fcntl.LOCK_SH)
+            same = False
+            with suppress(FileNotFoundError):
+                same = os.path.samestat(os.fstat(file), path.stat())
+            if same:  # and was not replaced while we waited
+                yield file
+                return
+        finally:
+            os.close(file)
+
+
 def _holder(file: int) -> str:
     """Who holds a lock, in words."""
     try:

@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable
 from typing import Any
 
-from prtcl.apps.arguments import add_camera, add_device, add_fine, add_points
+from prtcl.apps.arguments import add_camera, add_device, add_fine, add_points, add_scheduler
 
 MOST_ROTATIONS = 100_000
 
@@ -71,6 +71,10 @@ def register(commands: Any, run: Callable[[argparse.Namespace], int]) -> None:
     command.add_argument(
         "--overwrite", action="store_true", help="replace the images of another job that DIR holds"
     )
+    add_scheduler(
+        command, "for each device, which its PRTCL_DEVICE names", "lights",
+        "8, or 128 where views are factored, or fewer so that each worker has some",
+    )  # fmt: skip
     add_fine(command)
     add_device(command)
     command.add_argument("--quiet", action="store_true", help="no progress bar, no summary")
