@@ -19,7 +19,7 @@ from prtcl.files.image import read_image
 from prtcl.scene.bake import Bake
 from prtcl.scene.camera import Camera
 from prtcl.scene.mesh import Mesh
-from prtcl.scene.pilot import Noise, Squared, likely, told
+from prtcl.scene.pilot import Noise, Pilot, Squared, likely, told
 from prtcl.scene.plan import Plan
 from prtcl.scene.planner import confidence
 from prtcl.scene.scene import Render, Scene
@@ -138,6 +138,14 @@ def test_every_part_has_settings_of_its_own(device: Device, mesh: Mesh, sky: Env
 def test_black_pictures_have_a_plan(device: Device, mesh: Mesh) -> None:
     render = scene(device, mesh, Environment.constant(0.0)).render(error=0.01)
     assert render.plan is not None and not render.image[..., :3].any()
+
+
+def test_a_mesh_of_few_pixels_is_found(device: Device, mesh: Mesh, sky: Environment) -> None:
+    """Of a large picture not all pixels are looked at, unless too few of those see the mesh."""
+    far = replace(VIEW, eye=(310.0, 250.0, 540.0), size=(640, 400))
+    pilot = Pilot(Scene(mesh, sky, GLOSSY, far, device=device))
+    whole = Scene(mesh, sky, GLOSSY, far, device=device).render(samples=2).image[..., 3]
+    assert 0 < pilot.covered == (whole > 0).sum() == len(pilot.pixels) < 128 and pilot.mean > 0.0
 
 
 def test_points_are_audited_whatever_the_hard_light(device: Device, mesh: Mesh) -> None:

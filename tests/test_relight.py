@@ -136,8 +136,10 @@ def test_an_error_is_met_by_the_same_points_at_every_try(
         r"(\d+) x (\d+) points a pixel, 4\^(\d) rays: images are expected to err by ([\d.]+) %", ran.err
     )
     assert told is not None and 0.0 < float(told[4]) <= 5.0
-    inputs = json.loads((output / "manifest.json").read_text())["inputs"]
+    manifest = json.loads((output / "manifest.json").read_text())
+    inputs, error = manifest["inputs"], manifest["error"]
     assert inputs["samples"] == int(told[1]) and inputs["rays"] == int(told[3])
+    assert error["asked"] == 0.05 and f"{100 * error['predicted']:.2g}" == told[4]
     (output / "blue_lambert-albedo-0.5_view.exr").unlink()
     again = run(*words, "--error", "0.05", "--json", "-o", output)
     assert again.status == 0 and again.events[-1]["frames"] == 1 and again.events[-1]["skipped"] == 3

@@ -98,12 +98,12 @@ class Pilot:
 
     def __init__(self, scene: Scene, pixels: int = PIXELS) -> None:
         self.scene, self._rng = scene, np.random.default_rng(0)
-        rng, looked = self._rng, searched(scene, self._rng)
-        hits = shoot(
-            scene.tracer, scene.camera, np.repeat(looked, FIRST), np.tile(np.arange(FIRST), len(looked))
-        )
-        found = looked[np.unique(hits.ray // FIRST)]
-        width, height = scene.camera.size
+        rng, (width, height) = self._rng, scene.camera.size
+        looked = searched(scene, rng)
+        found = self._found(looked)
+        if len(found) < pixels and len(looked) < width * height:  # a mesh of few pixels
+            looked = np.arange(width * height)
+            found = self._found(looked)
         self.covered = len(found) / len(looked) * width * height
         self.pixels = np.sort(rng.choice(found, min(pixels, len(found)), replace=False))
         # Of each pixel others: neighbours in the sequence avoid each other, and the products of their errors would
@@ -112,6 +112,12 @@ class Pilot:
         self.points, self._pixel, self._hits = self._seen(np.repeat(np.arange(len(self.pixels)), POINTS), sub)
         self.truth, self._runs = np.zeros((len(self.points), 3)), 0
         self.sharpen()
+
+    def _found(self, looked: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+        """Those of some pixels whose first points see the mesh."""
+        every = np.tile(np.arange(FIRST), len(looked))
+        hits = shoot(self.scene.tracer, self.scene.camera, np.repeat(looked, FIRST), every)
+        return looked[np.unique(hits.ray // FIRST)]
 
     def _seen(
         self, pixel: npt.NDArray[np.int64], sub: npt.NDArray[np.int64]

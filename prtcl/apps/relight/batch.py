@@ -95,6 +95,7 @@ def read(
         "method": options.method, "hard": options.hard_light, "visibility": options.visibility,
     }  # fmt: skip
     samples = options.samples
+    expected: dict[str, Any] = {}
     if options.error is not None:
         light, _ = read_environment(lights[0], rotate=rotations[0], up=options.env_up, repair=options.repair)
         scenes = [
@@ -104,6 +105,7 @@ def read(
             for own in materials
         ]
         plan = plan_frames(scenes, options.error)
+        expected = {"error": {"asked": plan.asked, "predicted": plan.predicted}}
         settings["rays"], samples = plan.rays, plan.samples
         notes = [
             *notes,
@@ -154,6 +156,7 @@ def read(
         "axis, counter-clockwise from above; fov horizontal, in degrees; finished.jsonl lists what is done",
         "inputs": made_of,
         "factorization": {"chosen": factorization, "asked": plain},
+        **expected,
         "environments": [
             {"name": name, "file": str(path), "sha256": digest}
             for name, path, digest in zip(light_names, lights, light_digests, strict=True)

@@ -36,7 +36,9 @@ def settings(told: Row) -> Any:
     )  # fmt: skip
     plan = told["plan"]
     label = "usual settings: the error is refused" if "refused" in plan else "planned, its pilot included"
-    axes.loglog([plan["seconds"]], [100 * plan["found"]], "*", color="red", ms=16, label=label)
+    # What lies below the reference's noise may come out as 0, which has no place on the axis.
+    found = max(plan["found"], 0.5 * told["reference_noise"])
+    axes.loglog([plan["seconds"]], [100 * found], "*", color="red", ms=16, label=label)
     axes.axhline(100 * plan["asked"], color="red", ls=":", lw=1, label="asked for")
     axes.axhline(100 * told["reference_noise"], color="grey", ls=":", lw=1, label="noise of the reference")
     axes.set_xlabel("seconds, expected of the whole picture (planned: measured)")
