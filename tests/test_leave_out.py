@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import lru_cache
 from typing import Any
 
@@ -92,6 +93,20 @@ def test_no_picture_changes_beyond_what_is_said(device: Device, points: str, spe
     # points that see everything are noise that cancels. Others: sums of another order, or of another turn of the grid.
     bound = {"rays": 3e-3, "unshadowed": 5e-3, "normals": 2e-3, "all": 7e-3}.get(name, 1e-5)
     assert error(image, wanted) < bound
+
+
+@pytest.mark.parametrize("spec", ["lambert:albedo=0.5", "ggx:alpha=0.5,f0=0.9"])
+def test_levels_without_energy_change_a_picture_by_what_is_said(device: Device, spec: str) -> None:
+    """Only a plan leaves them out; the same plan without that is what they are held against."""
+    scene = Scene(still_life(), grey_sky(), spec, VIEW, device=device)
+    plan = scene.render(error=0.05).plan
+    assert plan is not None
+    kept = tuple(replace(own, leave_out=own.leave_out - {"levels"}) for own in plan.settings)
+    some, whole = scene.render(plan=plan), scene.render(plan=replace(plan, settings=kept))
+    left = item(some, "levels")
+    assert left["count"] > 0 and 0.0 < left["error"] <= 0.005
+    assert "levels" not in {own["name"] for own in whole.report["left_out"]}
+    assert 0.0 < error(some.image, whole.image) < left["error"]
 
 
 def test_grey_light_gives_three_equal_channels(device: Device) -> None:

@@ -8,6 +8,7 @@ of two means of a pixel's points, each against those of other settings; of these
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -74,11 +75,14 @@ class Noise:
 
         Where a pixel's squared error goes as v N^(-1/rate), the sum of points N is least for a given sum of errors
         if N ∝ v^p, p = rate / (1 + rate), and then ⟨v^p⟩^(1 + rate) / ⟨v⟩^rate of what it is with the same N for all.
+        Of one difference a pixel v is known by its square alone, whose own spread (χ² of one degree) is taken off.
         """
         each = ((self.halves[0] - self.halves[1]) ** 2).mean(axis=1)
         power = rate / (1.0 + rate)
         mean = each.mean()
-        return float((each**power).mean() ** (1.0 + rate) / mean**rate) if mean > 0.0 else 1.0
+        alike = (2.0**power * math.gamma(power + 0.5) / math.sqrt(math.pi)) ** (1.0 + rate)
+        found = (each**power).mean() ** (1.0 + rate) / mean**rate if mean > 0.0 else 1.0
+        return float(min(found / alike, 1.0))
 
 
 class Pilot:
