@@ -92,6 +92,7 @@ def main() -> None:
     parser.add_argument("--no-rival", action="store_true")
     options = parser.parse_args()
     scenes.require_data()
+    command = f"python bench/relight.py --pixels {options.pixels} --points {options.points}"
     started, device = time.perf_counter(), Device()
     mesh = read_mesh(scenes.mesh_path(MESH))
     tracer = Tracer(mesh.vertices, mesh.faces)
@@ -186,11 +187,11 @@ def main() -> None:
             mesh, maps, looks, front, options.renders, at, pixel, truth, got, each, frames, seconds, device
         )
     if not options.no_rival:
-        scenes.save(options.output, command="python bench/relight.py --no-rival", **result)
+        scenes.save(options.output, command=f"{command} --no-rival", **result)
         result["rival"] = rival_rows(mesh, maps, looks, front, at, pixel, truth, got, each, frames, seconds)
     result["bench_seconds"] = time.perf_counter() - started
     print(f"all: {result['bench_seconds']:.0f} s")
-    scenes.save(options.output, command="python bench/relight.py", **result)
+    scenes.save(options.output, command=command, **result)
 
 
 def loop_rows(  # type: ignore[no-untyped-def]

@@ -169,6 +169,25 @@ def plan(data: Data) -> None:
     print(f"\n{data['size'][0]} × {data['size'][1]} pixels, {data['device']}, `{data['command']}`\n")
 
 
+def relight(data: Data) -> None:
+    """A batch's errors, and what else could make it."""
+    rival = {(row["environment"], row["material"]): row for row in data["rival"]["frames"]}
+    print("\n| environment | material | error (reference's noise) | Mitsuba, a frame at that error |")
+    print("|---" * 4 + "|")
+    for row in data["errors"]:
+        other = rival[row["environment"], row["material"]]
+        print(
+            f"| {row['environment']} | `{row['material']}` | {100 * row['relative_rmse']:.2f} % "
+            f"(±{100 * row['reference_noise']:.2f}) | {other['seconds']:.0f} s |"
+        )
+    print(
+        f"\n{data['frames']} frames of {data['size'][0]} × {data['size'][1]} in {data['seconds']:.0f} s, "
+        f"{data['frames_per_second']:.2f} a second; a loop over renders {data['loop']['speedup']:.0f} times, Mitsuba "
+        f"{data['rival']['speedup']:.0f} times as long (both extrapolated); {data['mesh']}, {data['device']}, "
+        f"`{data['command']}`\n"
+    )
+
+
 def leave_out(data: Data) -> None:
     """Each name on and off."""
     for case in data["cases"]:
@@ -191,7 +210,7 @@ def leave_out(data: Data) -> None:
 
 
 TABLES = (
-    accuracy, mitsuba, editing, visibility, browser, bench, change_view, change_light, sparse, plan, leave_out,
+    accuracy, mitsuba, editing, visibility, browser, bench, change_view, change_light, sparse, plan, relight, leave_out,
 )  # fmt: skip
 
 if __name__ == "__main__":
