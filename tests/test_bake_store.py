@@ -394,6 +394,12 @@ def test_info_finds_a_damaged_chunk_when_it_verifies(
     assert "expected a bake" in capsys.readouterr().err
 
 
+def test_info_misses_a_chunk_without_reading_any(stored: Path) -> None:
+    (stored / "bits" / "c" / "1" / "0").unlink()
+    with pytest.raises(InputError, match=r"a\.zarr: .* is damaged: bits/c/.* is missing"):
+        info.describe(str(stored))
+
+
 def test_bake_and_occlusion_from_the_command_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -124,6 +124,24 @@ def test_images_manifest_and_events(run: Run, tiny: list[str], files: Path, tmp_
         assert preview.size == (12, 8) and preview.text["exposure"] == "-1 stops"
 
 
+def test_the_same_files_from_another_folder_are_the_same_job(
+    run: Run, tiny: list[str], files: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """And what another program keeps beside the images is left alone."""
+    output = tmp_path / "out"
+    assert run(*tiny, "-o", output).status == 0
+    whole = contents(output)
+    next(output.glob("*.exr")).unlink()
+    (output / f".{'0' * 32}.zarr").mkdir()
+    monkeypatch.chdir(files)
+    words = [str(Path(w).relative_to(files)) if w.startswith(str(files)) else w for w in tiny]
+    assert words != tiny
+    ran = run(*words, "--json", "-o", output)
+    assert ran.status == 0 and ran.events[-1]["frames"] == 1, ran.err
+    (output / f".{'0' * 32}.zarr").rmdir()
+    assert contents(output) == whole
+
+
 def test_an_error_is_met_by_the_same_points_at_every_try(
     run: Run, tiny: list[str], files: Path, tmp_path: Path
 ) -> None:

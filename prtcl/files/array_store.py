@@ -162,8 +162,17 @@ class ArrayStore:
 
     @property
     def disk_bytes(self) -> int:
-        """Bytes of all files that belong to the store."""
-        return sum((self.path / name).stat().st_size for name in (*self._sums, SUMS))
+        """Bytes of all files that belong to the store.
+
+        Raises
+        ------
+        InputError
+            If one is missing.
+        """
+        try:
+            return sum((self.path / name).stat().st_size for name in (*self._sums, SUMS))
+        except OSError as error:
+            self._damaged(f"{Path(error.filename).relative_to(self.path)} is missing")
 
     @property
     def raw_bytes(self) -> int:

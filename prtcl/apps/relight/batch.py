@@ -122,9 +122,8 @@ def read(
     turns = names.rotation_names(rotations)
     plain = {"points": points, "samples": samples, "settings": settings}
     if choice.factorization == "auto":
-        choice = chosen_before(Path(options.output), plain) or choose(
-            options, device, mesh, lights, rotations, materials, views, plain, kept
-        )
+        before = None if options.overwrite else chosen_before(Path(options.output), plain)
+        choice = before or choose(options, device, mesh, lights, rotations, materials, views, plain, kept)
     factorization = choice.factorization
     if samples is None:
         samples = SAMPLES if factorization == "light" else SIDE

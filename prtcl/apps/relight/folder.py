@@ -63,7 +63,7 @@ class Folder:
         with _writing(self.path), unchanged(self.path / MANIFEST, alone=True):
             self._sweep()
             was = self._read_manifest()
-            if was != self.manifest:
+            if was is None or _without_paths(was) != _without_paths(self.manifest):
                 if was is not None and not overwrite:
                     raise InputError(
                         f"{self.path}: holds another job's images; what differs is {difference(was, self.manifest)}\n"
@@ -125,7 +125,7 @@ class Folder:
     def _sweep(self) -> None:
         """Remove what a process that was killed has left half written."""
         for path in self.path.iterdir():
-            if _ASIDE.fullmatch(path.name):
+            if _ASIDE.fullmatch(path.name) and not path.is_dir():  # a folder is kept visibility's
                 path.unlink(missing_ok=True)
 
     def _rewrite(self) -> None:
@@ -256,6 +256,20 @@ def difference(was: dict[str, Any], wanted: dict[str, Any]) -> str:
             short = simple and len(f"{old}{value}") < 80
             return f"{key}: {old} there, {value} here" if short else key
     return "the images' names"
+
+
+def _without_paths(manifest: dict[str, Any]) -> dict[str, Any]:
+    """All but the environments' paths: from another folder they are others, to the same files."""
+    lights = manifest.get("environments")
+    if not isinstance(lights, list):
+        return manifest
+    return {
+        **manifest,
+        "environments": [
+            {key: value for key, value in own.items() if key != "file"} if isinstance(own, dict) else own
+            for own in lights
+        ],
+    }
 
 
 def laid_out(manifest: dict[str, Any]) -> str:
