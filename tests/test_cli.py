@@ -586,7 +586,11 @@ def test_interrupts_leave_other_handlers_alone() -> None:
 def test_an_interrupt_at_any_time(files: Path, delay: float) -> None:
     """While the command's libraries are imported as well, which takes about half a second."""
     trimesh.creation.icosphere(subdivisions=5).export(files / "fine.ply")
-    program = "import sys; from prtcl.apps.cli import main; print(flush=True); sys.exit(main())"
+    # The line is printed where interrupts are held back: before that they are Python's own.
+    program = (
+        "import sys; from prtcl.apps import cli; parser = cli.parser\n"
+        "cli.parser = lambda: (print(flush=True), parser())[1]; sys.exit(cli.main())"
+    )
     command = [
         sys.executable,
         "-c",
