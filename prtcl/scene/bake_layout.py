@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Mapping
 from typing import Any
 
@@ -11,6 +10,7 @@ import numpy.typing as npt
 
 from prtcl import quadtree
 from prtcl.errors import InputError
+from prtcl.files.digest import arrays_sha256
 from prtcl.scene.mesh import Mesh, PartMaterial
 from prtcl.scene.texture import WRAPS, Texture
 
@@ -94,13 +94,11 @@ def text_of(name: str, data: Mapping[str, npt.NDArray[Any]], key: str) -> str:
 def mesh_hash(mesh: Mesh) -> str:
     """SHA-256 of what visibility depends on: shapes and little-endian bytes of vertices, faces and normals, in hex."""
     assert mesh.normals is not None
-    digest = hashlib.sha256()
-    for name, array, dtype in (
-        ("vertices", mesh.vertices, "<f8"), ("faces", mesh.faces, "<i4"), ("normals", mesh.normals, "<f4"),
-    ):  # fmt: skip
-        digest.update(f"{name} {dtype} {array.shape}\n".encode())
-        digest.update(np.ascontiguousarray(array, dtype=dtype).tobytes())
-    return digest.hexdigest()
+    return arrays_sha256({
+        "vertices": mesh.vertices.astype("<f8", copy=False),
+        "faces": mesh.faces.astype("<i4", copy=False),
+        "normals": mesh.normals.astype("<f4", copy=False),
+    })  # fmt: skip
 
 
 def require_mesh(name: str, baked: Mesh, mesh: Mesh) -> Mesh:

@@ -103,7 +103,7 @@ def relight(
     wanted: Callable[[Job], bool] | None = None,
     note: Callable[[str], object] | None = None,
     engine: Engine | None = None,
-    kept: Path | None = None,
+    kept: Path | KeptVisibility | None = None,
     **settings: float | str | None,
 ) -> Generator[Frame, None, None]:
     """Images under every light, in every material, from every view, given as they are done.
@@ -164,7 +164,8 @@ def relight(
         engine = engine_for(
             mesh if bake is None else bake, materials, device or Device(), points=points, samples=samples,
             factorization=factorization, two_sided=two_sided,
-            kept=None if kept is None else KeptVisibility(kept, mesh, note), **settings,
+            kept=kept if kept is None or isinstance(kept, KeptVisibility) else KeptVisibility(kept, mesh, note),
+            **settings,
         )  # fmt: skip
     sources = lights if isinstance(lights, Sources) else Sources(lights, up, repair, note)
     return _frames(engine, sources, seen, list(map(float, rotations)), list(materials), wanted)

@@ -12,7 +12,6 @@ damaged is traced anew and replaced, with the reason told: the folder saves time
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
 from collections.abc import Callable, Mapping
@@ -30,6 +29,7 @@ from prtcl.errors import InputError, PrtclError
 from prtcl.factors import pixel_visibility, refine, sphere
 from prtcl.factors.pixel_visibility import Pixels
 from prtcl.files.array_store import ArrayStore, import_zarr, write_store
+from prtcl.files.digest import arrays_sha256, json_sha256
 from prtcl.scene.camera import Camera
 from prtcl.scene.mesh import Mesh
 from prtcl.transport.fixed_view import Bits
@@ -136,18 +136,9 @@ class KeptVisibility:
             self._note(text)
 
 
-def arrays_sha256(arrays: Mapping[str, npt.NDArray[Any]]) -> str:
-    """SHA-256 of named arrays: names, dtypes, shapes and bytes, in hex."""
-    digest = hashlib.sha256()
-    for name, array in arrays.items():
-        digest.update(f"{name} {array.dtype.str} {array.shape}\n".encode())
-        digest.update(np.ascontiguousarray(array).tobytes())
-    return digest.hexdigest()
-
-
 def key_of(made_of: Mapping[str, Any]) -> str:
     """What a store is called that is made of this."""
-    return hashlib.sha256(json.dumps(made_of, sort_keys=True).encode()).hexdigest()[:KEY_DIGITS]
+    return json_sha256(made_of)[:KEY_DIGITS]
 
 
 def open_store(path: str | os.PathLike[str]) -> ArrayStore:

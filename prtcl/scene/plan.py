@@ -127,14 +127,14 @@ class Plan:
             )
             trials = tuple(Trial(**own) for own in data.pop("trials"))
             plan = cls(settings=settings, trials=trials, **data)
+            if not settings or not plan._sound():
+                raise ValueError
         except OSError as error:
             raise InputError(f"{name}: cannot be read: {error.strerror}") from error
         except (ValueError, KeyError, TypeError, AttributeError) as error:
             raise InputError(
                 f"{name}: is no plan; make one with prtcl render --error E --save-plan FILE"
             ) from error
-        if not settings or not plan._sound():
-            raise InputError(f"{name}: is no plan; make one with prtcl render --error E --save-plan FILE")
         return plan
 
     def _sound(self) -> bool:

@@ -12,9 +12,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from prtcl.errors import InputError
-from prtcl.scene.pilot import NOISY, Pilot, pipelines
+from prtcl.scene.pilot import NOISY, Pilot, pipelines, told
 from prtcl.scene.plan import check_error
-from prtcl.scene.planner import AIM, LEAST_RAYS, RATE, STAYS, root, shifted, stays
+from prtcl.scene.planner import AIM, LEAST_RAYS, RATE, STAYS, beside, root, shifted
 from prtcl.scene.points import check_eye
 from prtcl.scene.scene import Scene
 
@@ -76,7 +76,7 @@ def _one(scene: Scene, error: float) -> FramesPlan:
         own = [shifted(one, shift, False) for one in base]
         soft = pilot.noise(pipelines(scene, own).soft) if shift else usual
         off = pilot.bias_beside(soft, usual)
-        left = stays(known, off)
+        left = beside(told(known), off)
         least = min(least, left)
         if left > (STAYS if shift < 0 else 1.0) * allowed:
             continue

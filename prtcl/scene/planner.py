@@ -70,7 +70,7 @@ def plan_pixels(scene: Scene, error: float, base: list[Settings], fixed: set[str
 
     def price(one: _Tried) -> tuple[float, int, float]:
         """Share of hard light, its first points, and seconds of the job, with what is known of the bias so far."""
-        left = stays(known, one.off)
+        left = beside(told(known), one.off)
         share, begin, seconds = _expected(pilot.covered, one.soft, hard, allowed - left)
         return share, begin, math.inf if one.shift < 0 and left > STAYS * allowed else seconds
 
@@ -100,19 +100,8 @@ def plan_pixels(scene: Scene, error: float, base: list[Settings], fixed: set[str
     prices = [price(one) for one in tried]
     best, (share, begin, seconds) = min(zip(tried, prices, strict=True), key=lambda pair: pair[1][2])
     if not math.isfinite(seconds):
-        least = min(stays(known, one.off) for one in tried)
-        reason = (
-            f"about {root(least):.2g} stays however many points a pixel gets"
-            if least >= allowed
-            else f"a pixel would need more than {MOST} points of soft light or {MOST_HARD} of hard light"
-        )
-        raise InputError(
-            f"error {error:g}: no setting that was tried meets it: {reason}\n"
-            "ask for more, or fix --levels and --rays by hand"
-        )
-    bias = Squared(
-        stays(known, best.off) - told(known) + likely(known), math.hypot(known.uncertain, best.off.uncertain)
-    )
+        raise _refused(error, min(beside(told(known), one.off) for one in tried), allowed)
+    bias = Squared(beside(likely(known), best.off), math.hypot(known.uncertain, best.off.uncertain))
     noise = noise_left(error, bias.value)
     settings = [
         replace(one, pixel_error=math.sqrt(noise / GUESS), hard_error=share, hard_points=begin)
@@ -160,12 +149,25 @@ def noise_left(error: float, bias: float) -> float:
     return max(allowed - bias, 0.5 * allowed)
 
 
-def stays(known: Squared, off: Squared) -> float:
-    """Squared bias of settings that stand `off` from others whose own is `known`.
+def beside(bias: float, off: Squared) -> float:
+    """Squared bias of settings that stand `off` from others of a squared `bias`.
 
     As if the two had nothing to do with each other; `off` on the safe side.
     """
-    return told(known) + max(off.value, 0.0) + off.uncertain
+    return bias + max(off.value, 0.0) + off.uncertain
+
+
+def _refused(error: float, least: float, allowed: float) -> InputError:
+    """Why nothing meets an error: the least squared bias is more than what is allowed, or points would be too many."""
+    reason = (
+        f"about {root(least):.2g} stays however many points a pixel gets"
+        if least >= allowed
+        else f"a pixel would need more than {MOST} points of soft light or {MOST_HARD} of hard light"
+    )
+    return InputError(
+        f"error {error:g}: no setting that was tried meets it: {reason}\n"
+        "ask for more, or fix --levels and --rays by hand"
+    )
 
 
 def shifted(one: Settings, shift: int, levels_fixed: bool) -> Settings:

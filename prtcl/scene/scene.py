@@ -30,7 +30,7 @@ from prtcl.scene.planner import plan_pixels
 from prtcl.scene.points import check_eye
 from prtcl.scene.report import render_report
 from prtcl.scene.shaders import Counter, Layer, Notify, PixelShader, VertexShader
-from prtcl.scene.steer import SHARP, expected_error, steer
+from prtcl.scene.steer import SHARP, audited, expected_error, steer
 from prtcl.scene.tint import Tints, colour_notes
 from prtcl.transport.fine_levels import needed
 from prtcl.transport.leave_out import parse
@@ -207,24 +207,21 @@ class Scene:
             raise InputError(
                 "samples and error: points are fixed by the one or sought for the other; give one"
             )
-        start = time.perf_counter()
-        for device in self.devices:
-            device.profile.reset()
+        start, given = time.perf_counter(), plan
         check_eye(self.tracer, self.mesh, self.camera)
         vertex = points == "vertex" or self.bake is not None
         if plan is None and error is not None:
-            plan, given = self._plan(error, vertex), False
-            for device in self.devices:  # what follows is the picture's alone
-                device.profile.reset()
-        else:
-            given = plan is not None
+            plan = self._plan(error, vertex)
+        for device in self.devices:  # what follows is the picture's alone
+            device.profile.reset()
         rays = self.tracer.rays
-        # Settings that no error was asked of have no level that a material could do without.
-        self.settings, self.fitted = (
-            (self.choose_settings(vertex), {})
-            if plan is None
-            else self._without_fine_levels(self._planned(plan, vertex), FITTED * plan.asked)
-        )
+        by_hand = samples is not None
+        if plan is None:  # settings that no error was asked of have no level that a material could do without
+            self.settings, self.fitted = self.choose_settings(vertex), {}
+        else:
+            planned = self._planned(plan, vertex)
+            by_hand |= planned != list(plan.settings)
+            self.settings, self.fitted = self._without_fine_levels(planned, plan.asked)
         each = [pipelines(self, [own for own, _ in self.settings], device) for device in self.devices]
         pipeline: Pipelines | Several = each[0] if len(each) == 1 else Several(each)
         count = Counter(progress)
@@ -237,13 +234,7 @@ class Scene:
             steered = steer(
                 exposure, layers, plan.asked, plan.bias, plan.bias_uncertain, self.settings[0][0].hard_error
             )
-            plan = replace(
-                plan, predicted=steered.error, confidence=steered.confidence, noise_ratio=steered.ratio, steered=True,
-                settings=tuple(
-                    replace(own, pixel_error=steered.pixel_error, hard_error=steered.hard_error)
-                    for own in plan.settings
-                ),
-            )  # fmt: skip
+            plan = audited(plan, steered)
         elif samples is None:
             # One number for the whole image: sharp highlights, where there are any, make most of its error.
             exposure.refine(layers, max(own.pixel_error for own, _ in self.settings))
@@ -251,16 +242,14 @@ class Scene:
         rays = self.tracer.rays - rays
         report = render_report(self, pipeline, layers, count, vertex, rays, time.perf_counter() - start)
         if plan is not None:
-            by_hand = samples is not None or any(
-                own != used for own, (used, _) in zip(plan.settings, self._planned(plan, vertex), strict=True)
-            )
+            # A plan from before whose picture was audited is doubted no more than one of this picture.
+            doubt = plan.doubt(self.names, by_hand) if given is plan else None
             report["plan"] = {
                 **plan.summary(),
                 "audits": 0 if steered is None else steered.audits,
-                "doubt": self._missed(pipeline)
-                or (plan.doubt(self.names, by_hand) if given and steered is None else None),
+                "doubt": self._missed(pipeline) or doubt,
             }
-            if not given:
+            if given is None:
                 report["seconds"]["pilot"] = round(plan.pilot_seconds, 4)
         width, height = self.camera.size
         picture = colours(layers)
@@ -306,34 +295,34 @@ class Scene:
         return (plan_vertices if vertex else plan_pixels)(self, error, base, fixed)
 
     def _without_fine_levels(
-        self, settings: list[tuple[Settings, str]], cost: float
+        self, settings: list[Settings], asked: float
     ) -> tuple[list[tuple[Settings, str]], dict[int, float]]:
-        """The settings without the levels of the product that a material has no use for, at a relative error of `cost`.
+        """A plan's settings without the levels of the product that a material has no use for, at the error asked for.
 
         Returns
         -------
-        settings, lost : what leaving them out may cost, by material, where any were
+        settings : and why
+        lost : what leaving levels out may cost, by material, where any were
         """
         out: list[tuple[Settings, str]] = []
         lost: dict[int, float] = {}
-        for number, (own, reason) in enumerate(settings):
+        for number, own in enumerate(settings):
             keep = own.keep
             if own.leaves("levels") and self._by_hand.get("keep") is None:
-                keep, without = needed(self.device, self.materials[number], own.keep, cost)
+                keep, without = needed(self.device, self.materials[number], own.keep, FITTED * asked)
                 if keep < own.keep:
                     lost[number] = without
-            out.append((replace(own, keep=keep), reason))
+            out.append((replace(own, keep=keep), f"planned for an error of {asked:g}"))
         return out, lost
 
-    def _planned(self, plan: Plan, vertex: bool) -> list[tuple[Settings, str]]:
+    def _planned(self, plan: Plan, vertex: bool) -> list[Settings]:
         """A plan's settings with what was fixed by hand on top."""
         if plan.points != ("vertex" if vertex else "pixel") or len(plan.settings) != len(self.materials):
             raise InputError(
                 f"plan: made for the {plan.points} points of {len(plan.settings)} materials, got "
                 f"{'vertex' if vertex else 'pixel'} points of {len(self.materials)}; make one for this scene"
             )
-        reason = f"planned for an error of {plan.asked:g}"
-        return [(own.with_defaults(**self._by_hand), reason) for own in plan.settings]
+        return [own.with_defaults(**self._by_hand) for own in plan.settings]
 
     def _repr_png_(self) -> bytes:
         """What a notebook shows: the image at 2 × 2 points a pixel."""

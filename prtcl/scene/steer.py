@@ -33,7 +33,7 @@ class Steered:
     ratio : squared noise over what the films estimate, as the audits found
     confidence : that the image errs by no more than was asked
     pixel_error, hard_error : `Settings` that refine an image as far without audits
-    audits : how many there were
+    audits : rounds of points, each of which one ended
     """
 
     error: float
@@ -77,6 +77,16 @@ def steer(
     return Steered(
         error=math.sqrt(squared), ratio=found.ratio,
         confidence=confidence(asked, squared, uncertain), pixel_error=error, hard_error=share, audits=audits,
+    )  # fmt: skip
+
+
+def audited(plan: Plan, steered: Steered) -> Plan:
+    """A plan with what its picture's audits found."""
+    return replace(
+        plan, predicted=steered.error, confidence=steered.confidence, noise_ratio=steered.ratio, steered=True,
+        settings=tuple(
+            replace(own, pixel_error=steered.pixel_error, hard_error=steered.hard_error) for own in plan.settings
+        ),
     )  # fmt: skip
 
 

@@ -16,6 +16,7 @@ from prtcl.apps.relight import folder, inputs, names
 from prtcl.compute.device import Device
 from prtcl.errors import InputError
 from prtcl.factors.material import Material
+from prtcl.files.digest import json_sha256
 from prtcl.scene.bake import Bake, is_bake
 from prtcl.scene.camera import Camera, Triple
 from prtcl.scene.camera_path import View, read_views, turntable
@@ -43,6 +44,7 @@ class Batch:
     manifest : of its folder; `inputs` in it is all that the images depend on
     notes : for people
     choice : why the factorization is what it is, and its engine where one was tried
+    kept : where visibility is kept, if anywhere
     """
 
     source: Mesh | Bake
@@ -57,6 +59,7 @@ class Batch:
     manifest: dict[str, Any]
     notes: list[str]
     choice: Choice
+    kept: KeptVisibility | None
 
 
 def read(
@@ -150,7 +153,7 @@ def read(
     files = folder.frame_files(stems, options.png)
     manifest = inputs.as_json({
         "format": folder.FORMAT,
-        "job": folder.fingerprint(made_of),
+        "job": json_sha256(made_of),
         "about": "images are linear RGBA, float32, colour premultiplied by alpha; rotation in degrees about the up "
         "axis, counter-clockwise from above; fov horizontal, in degrees; finished.jsonl lists what is done",
         "inputs": made_of,
@@ -177,7 +180,7 @@ def read(
     refuse_inputs(Path(options.output), manifest, [*lights, Path(options.mesh)])
     return Batch(
         source, lights, rotations, materials, views, points, samples, factorization, settings, manifest,
-        [*mesh.notes, *notes], choice,
+        [*mesh.notes, *notes], choice, kept,
     )  # fmt: skip
 
 

@@ -35,12 +35,10 @@ from prtcl.compute.device import Device
 from prtcl.errors import InputError
 from prtcl.factors.environment import Environment
 from prtcl.factors.material import Material, anchored
-from prtcl.scene.bake import read_mesh_or_bake
 from prtcl.scene.camera import Camera
 from prtcl.scene.frames import Sources, engine_for, jobs
 from prtcl.scene.frames_engine import Engine, Image, Wanted
 from prtcl.scene.frames_view import TOGETHER
-from prtcl.scene.kept_visibility import KeptVisibility
 
 LIGHTS = {"light": 8, "view": TOGETHER}
 """Most lights of a task, by factorization. L ⊕ V is made for each light anew, so a task may be short: eight lights keep
@@ -188,9 +186,7 @@ class Standing:
         if camera != self.before or pixels is not None:
             self.before = None  # should it fail
             self.traced = self.engine.prepare(camera, pixels, traced)
-            if pixels is not None:
-                return self.traced
-            self.before = camera
+            self.before = camera if pixels is None else None
         return self.traced
 
     def images(self, lights: Iterable[Wanted]) -> Iterator[Image]:
@@ -232,16 +228,10 @@ class Place:
         self.engine = Standing(
             engine_for(
                 self.job.source, self.job.materials, self.device, points=self.job.points, samples=self.job.samples,
-                factorization=self.job.factorization, two_sided=not self.options.one_sided, kept=self._visibility(),
+                factorization=self.job.factorization, two_sided=not self.options.one_sided, kept=self.job.kept,
                 **self.job.settings,
             )
         )  # fmt: skip
-
-    def _visibility(self) -> KeptVisibility | None:
-        """Where the batch keeps what its views see, in a folder that all machines share."""
-        folder = self.options.keep_visibility
-        mesh, bake = read_mesh_or_bake(self.job.source)
-        return None if folder is None or bake is not None else KeptVisibility(folder, mesh, self.notes.append)
 
     def stand(self, view: int, traced: Any = None) -> Any:
         """Have the engine before a view."""

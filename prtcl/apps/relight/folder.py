@@ -8,7 +8,6 @@ is so after a reboot as well. An image whose line is missing or whose files are 
 from __future__ import annotations
 
 import errno
-import hashlib
 import json
 import os
 import re
@@ -307,11 +306,6 @@ def _flush_folder(path: Path) -> None:
             os.fsync(file)
         finally:
             os.close(file)
-
-
-def fingerprint(inputs: dict[str, Any]) -> str:
-    """One number for all inputs of a batch."""
-    return hashlib.sha256(json.dumps(inputs, sort_keys=True).encode()).hexdigest()
 
 
 def frame_files(stems: Sequence[str], png: bool) -> list[dict[str, str]]:

@@ -41,7 +41,7 @@ def make_images(
         job.source, sources or job.lights, job.materials, job.views, rotations=job.rotations, points=job.points,
         samples=job.samples, factorization=job.factorization, up=options.env_up, repair=options.repair,
         device=device, two_sided=not options.one_sided, wanted=wanted, note=note, engine=engine or job.choice.engine,
-        kept=options.keep_visibility, **job.settings,
+        kept=job.kept, **job.settings,
     )  # fmt: skip
     with closing(frames), Writer(folder, options.exposure, told) as writer:
         for frame in frames:
