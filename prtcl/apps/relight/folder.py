@@ -252,7 +252,7 @@ def difference(was: dict[str, Any], wanted: dict[str, Any]) -> str:
         old = before.get(key)
         if old != value:
             simple = all(own is None or isinstance(own, str | int | float | bool) for own in (old, value))
-            short = simple and len(f"{old}{value}") < 80
+            short = simple and len(f"{old}{value}") < 200
             return f"{key}: {old} there, {value} here" if short else key
     return "the images' names"
 
