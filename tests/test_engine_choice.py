@@ -11,6 +11,7 @@ import pytest
 from prtcl.compute.device import Device
 from prtcl.errors import InputError
 from prtcl.factors.environment import Environment
+from prtcl.factors.visibility import Tracer
 from prtcl.scene import engine_choice
 from prtcl.scene.camera import Camera
 from prtcl.scene.engine_choice import Cost, choose_engine, decide
@@ -19,6 +20,7 @@ from prtcl.scene.frames_engine import Simple
 from prtcl.scene.frames_looks import Looks
 from prtcl.scene.frames_view import ViewEngine
 from prtcl.scene.mesh import Mesh
+from prtcl.scene.points import seeing_pixels, shoot
 
 CAMERA = Camera((3.1, 2.5, 5.4), (-0.1, 0.75, -0.3), fov=38.0, size=(24, 18))
 COARSE: dict[str, Any] = {"levels": 4, "rays": 3, "keep": 4, "views": 16}
@@ -26,15 +28,18 @@ MATERIALS = ["lambert:albedo=0.5", "ggx:alpha=0.3,f0=0.04"]
 
 
 def test_the_cheaper_engine_is_taken_and_the_reason_says_why() -> None:
-    light, view = Cost(once=0.5, each=1.0), Cost(once=5.0, each=0.1, apart=0.01)
+    light, view = Cost(once=0.5, each=1.0), Cost(once=2.0, each=0.1, block=3.0, apart=0.01)
     assert view.total(10, 2.0) == pytest.approx(2 * (5 + 1) + 0.1)
     (few, _), (many, reason) = (decide(light, view, n, 3, 100, 100) for n in (2, 50))
     assert few == "light" and many == "view"
     assert reason.startswith("V ⊕ f_v") and "50 environments × 3 materials" in reason
     assert "10.5 s" in reason and "50.5 s" in reason
     # Resampling costs the same for ten times the pixels, so the balance shifts with them.
-    assert decide(Cost(0, 1), Cost(0, 0.5, 2), 4, 1, 100, 100)[0] == "light"
-    assert decide(Cost(0, 1), Cost(0, 0.5, 2), 4, 1, 1000, 100)[0] == "view"
+    assert decide(Cost(0, 1), Cost(0, 0.5, apart=2), 4, 1, 100, 100)[0] == "light"
+    assert decide(Cost(0, 1), Cost(0, 0.5, apart=2), 4, 1, 1000, 100)[0] == "view"
+    # Ten blocks of five lights cost ten transports.
+    chosen, reason = decide(light, view, 50, 3, 100, 100, blocks=20)
+    assert chosen == "light" and "each of 20 blocks" in reason and "67.5 s" in reason
 
 
 @pytest.mark.parametrize("cheap", FACTORIZATIONS)
@@ -76,6 +81,27 @@ def test_some_pixels_are_seen_as_among_all(device: Device, mesh: Mesh, sky: Envi
     for image, row in zip(whole, engine.images([(sky, (0, 1))]), strict=True):
         assert row.shape == (1, len(some), 4)
         assert (row[0] == image.reshape(-1, 4)[some]).all() and (row[..., 3] > 0).mean() > 0.3
+
+
+@pytest.mark.parametrize("samples", [None, 1])
+def test_a_mesh_between_the_centres_of_pixels_is_tried(
+    device: Device, mesh: Mesh, sky: Environment, samples: int | None
+) -> None:
+    """Where no first sub-pixel point sees the mesh a later one may; one point a pixel then sees nothing at all."""
+    tracer, every = Tracer(mesh.vertices, mesh.faces), np.arange(48)
+    far = replace(CAMERA, eye=(31.0, 25.0, 54.0), size=(8, 6))
+    first, second = (shoot(tracer, far, every, np.full(48, sub)).ray for sub in (0, 1))
+    assert not len(first) and len(second)
+    assert list(seeing_pixels(tracer, far)) == list(second)
+    choice = choose_engine(mesh, Looks(MATERIALS, mesh, **COARSE), device, far, [sky], samples=samples)
+    assert choice.engine is not None
+    for factorization in FACTORIZATIONS:
+        frames = relight(
+            mesh, [sky], MATERIALS, [far], samples=samples, factorization=factorization, device=device
+        )
+        for frame in frames:
+            assert frame.image.shape == (6, 8, 4)
+            assert frame.image.any() == (samples is None)
 
 
 def test_a_view_of_nothing_is_refused(device: Device, mesh: Mesh, sky: Environment) -> None:

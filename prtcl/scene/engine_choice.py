@@ -20,9 +20,10 @@ from prtcl.scene.camera import Camera
 from prtcl.scene.frames import engine_of
 from prtcl.scene.frames_engine import Engine
 from prtcl.scene.frames_looks import Looks
+from prtcl.scene.frames_view import together
 from prtcl.scene.kept_visibility import KeptVisibility
 from prtcl.scene.mesh import Mesh
-from prtcl.scene.points import check_eye, shoot
+from prtcl.scene.points import check_eye, seeing_pixels
 
 SAMPLE = 256
 """Pixels of a trial, evenly taken from all that see the mesh."""
@@ -34,15 +35,26 @@ APART = "resample_light"
 
 @dataclass(frozen=True)
 class Cost:
-    """Seconds of one engine: once for the view, for each of its environments, and for each whatever the pixels."""
+    """Seconds of one engine.
+
+    Attributes
+    ----------
+    once : for the view
+    each : for each environment
+    block : for each block of environments that it takes together
+    apart : for each environment, whatever the pixels
+    """
 
     once: float
     each: float
+    block: float = 0.0
     apart: float = 0.0
 
-    def total(self, environments: int, share: float = 1.0) -> float:
+    def total(self, environments: int, share: float = 1.0, blocks: int = 1) -> float:
         """Seconds for so many environments and `share` times the pixels."""
-        return share * (self.once + environments * self.each) + environments * self.apart
+        return (
+            share * (self.once + blocks * self.block + environments * self.each) + environments * self.apart
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,12 +98,7 @@ def choose_engine(
     with device.profile.host("build_bvh"):
         tracer = Tracer(mesh.vertices, mesh.faces)
     check_eye(tracer, mesh, camera)
-    every = np.arange(camera.size[0] * camera.size[1])
-    covered = np.concatenate(
-        [part[shoot(tracer, camera, part, np.zeros_like(part)).ray] for part in np.array_split(every, 16)]
-    )
-    # A mesh that lies between the centres of all pixels is tried where it may be.
-    seen = covered if len(covered) else every
+    seen = seeing_pixels(tracer, camera)
     tried = seen[np.unique(np.linspace(0, len(seen) - 1, min(SAMPLE, len(seen))).round().astype(np.int64))]
     engines = {
         name: engine_of(
@@ -105,20 +112,30 @@ def choose_engine(
         light_cost(engines["light"], camera, tried, environments[0], number),
         view_cost(engines["view"], camera, tried, environments, number),
     )
-    chosen, reason = decide(*costs, len(environments), number, len(seen), len(tried))
+    blocks = -(-len(environments) // together(len(seen), number))
+    chosen, reason = decide(*costs, len(environments), number, len(seen), len(tried), blocks)
     return Choice(chosen, reason, engines[chosen])
 
 
 def decide(
-    light: Cost, view: Cost, environments: int, looks: int, pixels: int, tried: int
+    light: Cost, view: Cost, environments: int, looks: int, pixels: int, tried: int, blocks: int = 1
 ) -> tuple[str, str]:
-    """The factorization of the cheaper of two engines, and the sentence that says so."""
+    """The factorization of the cheaper of two engines, and the sentence that says so.
+
+    Parameters
+    ----------
+    blocks : of environments, for each of which V ⊕ f_v is made anew
+    """
     share = pixels / tried
-    seconds = {"light": light.total(environments, share), "view": view.total(environments, share)}
+    seconds = {
+        "light": light.total(environments, share),
+        "view": view.total(environments, share, blocks),
+    }
     chosen, other = ("view", "light") if seconds["view"] < seconds["light"] else ("light", "view")
     names = {
         "light": "L ⊕ V, collapsed for each environment",
-        "view": "V ⊕ f_v, one transport for all environments",
+        "view": "V ⊕ f_v, one transport for "
+        + ("all environments" if blocks == 1 else f"each of {blocks} blocks of environments"),
     }
     return chosen, (
         f"{names[chosen]}: about {seconds[chosen]:.3g} s a view for {environments} environments × {looks} materials "
@@ -150,7 +167,7 @@ def view_cost(
     apart = engine.device.profile.host_seconds()[APART] - between
     one, many = one - (between - begin), many - apart
     each = max(0.0, many - one) / (BATCH - 1)
-    return Cost(once + max(0.0, one - each), each, apart / BATCH)
+    return Cost(once, each, block=max(0.0, one - each), apart=apart / BATCH)
 
 
 def _draw(engine: Engine, environments: Sequence[Environment], looks: int) -> None:

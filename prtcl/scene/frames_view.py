@@ -59,7 +59,7 @@ class ViewEngine:
         # Of all looks, whichever are wanted: an image does not depend on the others.
         self._rays, self._kept = rays_for(looks.materials), kept
         self._worn = [[looks.materials[i] for i in own] for own in looks.full]
-        self._seen: tuple[ViewPoints, FixedView] | None = None
+        self._seen: tuple[ViewPoints, FixedView | None] | None = None
 
     @property
     def device(self) -> Device:
@@ -79,6 +79,9 @@ class ViewEngine:
             points = ViewPoints.of(
                 self.mesh, self.tracer, camera, self.side, two_sided=self.two_sided, pixels=pixels
             )
+        if not len(points.points):  # the mesh lies between the few points of all pixels
+            self._seen = points, None
+            return np.zeros((0, 0), np.uint32)
         keeper: Keeper | None = None
         if traced is not None:
             keeper = partial(_given, traced)
@@ -94,9 +97,12 @@ class ViewEngine:
         """As `Engine.images`; a block of lights at a time."""
         assert self._seen is not None, "no view was prepared"
         points, view = self._seen
+        if view is None:
+            for _, wanted in lights:
+                yield from (points.image(np.zeros((0, 3))) for _ in wanted)
+            return
         waiting = iter(lights)
-        each = max(1, 12 * len(view) * len(self._worn))
-        while block := list(islice(waiting, max(1, min(TOGETHER, RADIANCE // each)))):
+        while block := list(islice(waiting, together(len(view), len(self._worn)))):
             looks = sorted({look for _, wanted in block for look in wanted})
             radiance = view.radiance(
                 [environment for environment, _ in block],
@@ -106,6 +112,11 @@ class ViewEngine:
             for number, (_, wanted) in enumerate(block):
                 for look in wanted:
                     yield points.image(radiance[looks.index(look), number])
+
+
+def together(pixels: int, looks: int) -> int:
+    """How many lights one transport of so many pixels and looks serves, for their radiance has to fit the host."""
+    return max(1, min(TOGETHER, RADIANCE // max(1, 12 * pixels * looks)))
 
 
 def _given(bits: Bits, *_: object) -> Bits:

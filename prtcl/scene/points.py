@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -58,13 +59,7 @@ def check_eye(tracer: Tracer, mesh: Mesh, camera: Camera) -> None:
         If no pixel sees the mesh, or the eye is inside it: every ray in all directions meets a surface from
         behind. (A room whose walls face inwards, or any opening, is a fine place for an eye.)
     """
-    width, height = camera.size
-    pixels = np.arange(width * height)
-    if not any(
-        len(shoot(tracer, camera, part, np.full_like(part, sub)).ray)
-        for sub in range(4)
-        for part in np.array_split(pixels, 16)
-    ):
+    if not any(map(len, _seeing(tracer, camera))):
         raise InputError(
             f"the camera at {_text(camera.eye)} towards {_text(camera.target)} sees nothing of the mesh, which lies "
             f"in {_text(mesh.bounds[0])} to {_text(mesh.bounds[1])}\nmove --eye or --target"
@@ -80,6 +75,31 @@ def check_eye(tracer: Tracer, mesh: Mesh, camera: Camera) -> None:
             raise InputError(
                 f"the camera at {_text(camera.eye)} is inside the mesh: no light gets there\nmove --eye"
             )
+
+
+def seeing_pixels(tracer: Tracer, camera: Camera) -> npt.NDArray[np.int64]:
+    """Flat indices of the pixels whose first sub-pixel point sees the mesh; where none does, whose second, and so on.
+
+    Empty where `check_eye` refuses the camera for seeing nothing.
+    """
+    parts: list[npt.NDArray[np.int64]] = []
+    for number, part in enumerate(_seeing(tracer, camera), start=1):
+        parts.append(part)
+        if number % PARTS == 0 and any(map(len, parts)):
+            break
+    return np.concatenate(parts)
+
+
+PARTS = 16
+"""Parts of an image whose rays are shot together."""
+
+
+def _seeing(tracer: Tracer, camera: Camera) -> Iterator[npt.NDArray[np.int64]]:
+    """Pixels that see the mesh, part by part of the image, through one after another of their first points."""
+    pixels = np.arange(camera.size[0] * camera.size[1])
+    for sub in range(4):
+        for part in np.array_split(pixels, PARTS):
+            yield part[shoot(tracer, camera, part, np.full_like(part, sub)).ray]
 
 
 def _text(position: npt.ArrayLike) -> str:
