@@ -28,6 +28,7 @@ from prtcl.apps import cluster as shared
 from prtcl.apps.parsers import parser
 from prtcl.apps.relight import batch
 from prtcl.apps.relight import cluster as relit
+from prtcl.apps.relight import command as command_module
 from prtcl.apps.relight import folder as folder_module
 from prtcl.apps.relight.folder import opened
 from prtcl.apps.relight.lock import unchanged
@@ -278,7 +279,7 @@ def test_a_worker_reads_the_same_job_wherever_it_was_started(
     options = parser().parse_args([*words, "-o", "out"])
     device = Device(opencl_device.spec)
     job = batch.read(options, device)
-    told = relit.order(options, job, device)
+    told = relit.order(options, job)
     assert told.options["output"] == str(files / "out") and told.specs[0] == "table:sheen.npz"
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv(choice.VARIABLE, opencl_device.spec)
@@ -286,10 +287,13 @@ def test_a_worker_reads_the_same_job_wherever_it_was_started(
     place = relit.Place(told)
     assert place.job.manifest["inputs"] == job.manifest["inputs"]
     assert place.device.name == opencl_device.name
-    name, form = next((n, f) for n, t in tuning.KNOWN.items() for f in t.forms if f != told.forms[n])
-    told.forms[name] = form
-    with pytest.raises(
-        InputError, match=rf"was tuned otherwise: {name} is .*\nhave one file of `prtcl bench"
+    used = tuning.forms_of(device)
+    tunable, form = next((t, f) for n, t in tuning.KNOWN.items() for f in t.forms if f != used[n])
+    with (
+        tunable.trial(form),
+        pytest.raises(
+            InputError, match=rf"kernels: {tunable.name} .* there.*\nhave one file of `prtcl bench"
+        ),
     ):
         relit.Place(told)
 
@@ -532,8 +536,10 @@ def test_a_worker_with_another_device_is_told(
 
 
 def test_an_environment_that_a_worker_cannot_read_is_told(
-    run: Run, words: list[str], files: Path, cluster: Cluster, tmp_path: Path
+    run: Run, words: list[str], files: Path, cluster: Cluster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """The command can, as it checks before anything is made."""
+    monkeypatch.setattr(command_module, "check_inputs", lambda *_: None)
     (tmp_path / "cut.exr").write_bytes((files / "sky.exr").read_bytes()[:300])
     words[words.index("sky.exr")] = str(tmp_path / "cut.exr")
     ran = run(*words, "--scheduler", cluster.address, "-o", tmp_path / "out")

@@ -53,8 +53,8 @@ class Jobs:
         notes: list[str] = []
         frames = relight(
             given["mesh"], [given["light"]], given["materials"], [given["camera"]], samples=2, device=self.device,
-            factorization=factorization, kept=self.folder if keep else None, note=notes.append, levels=4,
-            rays=given["rays"], views=16,
+            factorization=factorization, kept=self.folder if keep else None, note=notes.append,
+            **({"levels": 4, "rays": given["rays"], "views": 16} if factorization == "light" else {}),
         )  # fmt: skip
         images = [frame.image for frame in frames]
         self.told = "\n".join(notes)

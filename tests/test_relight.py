@@ -27,8 +27,10 @@ from cases import Ran, Run
 from PIL import Image
 
 from prtcl.apps.relight import batch as batch_module
+from prtcl.apps.relight import command as command_module
 from prtcl.apps.relight import folder as folder_module
 from prtcl.apps.relight import writer as writer_module
+from prtcl.apps.relight.folder import Folder
 from prtcl.apps.relight.inputs import digest, material_digest, mesh_digest
 from prtcl.apps.relight.lock import locked
 from prtcl.apps.relight.names import material_name, plain, rotation_names, unique
@@ -222,10 +224,16 @@ def test_an_interrupted_choice_is_kept(
     assert contents(tmp_path / "out") == before
     few = run(*words, "--explain", "-o", tmp_path / "few")
     assert "factorization light: 2 lights are too few" in few.err and tried == [12]
+    by_hand = run(*many, "--levels", "3", "-o", tmp_path / "levels")
+    assert "factorization light: --levels is its own" in by_hand.err and tried == [12]
+    # A batch of another material does not inherit what was chosen for these.
+    again = run(*many, "--brdf", "lambert:albedo=0.1", "--overwrite", "-o", tmp_path / "out")
+    assert again.status == 0 and tried == [12, 12]
 
 
 def test_vertices_and_bakes_have_no_view_to_factor(run: Run, tiny: list[str], tmp_path: Path) -> None:
-    ran = run(*tiny, "--points", "vertex", "--factorization", "view", "-o", tmp_path / "out")
+    words = [w for w in tiny if w not in ("--levels", "3", "--views", "8")]
+    ran = run(*words, "--points", "vertex", "--factorization", "view", "-o", tmp_path / "out")
     assert ran.status == 2 and "view has pixels, no vertices" in ran.err
 
 
@@ -371,7 +379,7 @@ def test_globs(run: Run, tiny: list[str], files: Path, tmp_path: Path) -> None:
         (["--turntable", "3", "--cameras", "a.json"], "--cameras"), (["--turntable", "0"], "turntable"),
         (["--turntable", "3", "--eye", "1", "2", "3"], "--eye"), (["--elevation", "10"], "--elevation"),
         (["--cameras", "none.json"], "none.json"), (["--samples", "0"], "--samples"),
-        (["--exposure", "nan"], "--exposure"),
+        (["--exposure", "nan"], "--exposure"), (["--factorization", "view"], "--levels: is of --factorization light"),
         (["--brdf", "lambert:albedo=7"], "albedo"), (["--env", "none.exr"], "none.exr"),
         (["--eye", "9", "9", "9", "--target", "20", "20", "20"], "sees nothing"),
     ],
@@ -404,7 +412,7 @@ def test_another_job_is_refused(run: Run, tiny: list[str], files: Path, tmp_path
     before = contents(output)
     for more, what in (
         (["--samples", "2"], "samples: 1 there, 2 here"), (["--env-rotate", "7"], "rotations"),
-        (["--brdf", "lambert"], "materials"), (["--size", "8x8"], "cameras"), (["--png"], "png: False there"),
+        (["--size", "8x8"], "cameras"), (["--png"], "png: False there"),
         (["--smooth"], "mesh"),
     ):  # fmt: skip
         ran = run(*tiny, *more, "-o", output)
@@ -427,6 +435,98 @@ def test_an_environment_that_changed_is_another_job(
     write_sky(tmp_path / "sky.exr", (1.0, 0.5, 0.1))
     ran = run(*rest)
     assert ran.status == 2 and "what differs is environments" in ran.err
+
+
+def test_a_bad_map_or_view_ends_a_run_before_its_first_image(
+    run: Run, tiny: list[str], files: Path, tmp_path: Path
+) -> None:
+    """Mended or taken out, the same command goes on: nothing is lost, and nothing has to be replaced."""
+    skies, output = tmp_path / "skies", tmp_path / "out"
+    shutil.copytree(files / "skies", skies)
+    (skies / "cut.exr").write_bytes((skies / "blue.exr").read_bytes()[:400])
+    words = [*tiny[:3], str(skies), *tiny[4:], "-o", str(output)]
+    ran = run(*words)
+    assert ran.status == 2 and "cut.exr" in ran.err and len(ran.err.splitlines()) <= 2
+    assert not list(output.glob("*.exr"))
+    (skies / "cut.exr").unlink()
+    cameras = tmp_path / "cameras.json"
+    good, away = (
+        {"eye": [0, 0, 5], "target": [0, 0, 0]},
+        {"eye": [0, 0, 5], "target": [0, 0, 9], "name": "away"},
+    )
+    cameras.write_text(json.dumps([good, away]))
+    ran = run(*words, "--cameras", cameras)
+    assert ran.status == 2 and "view away: " in ran.err and "sees nothing" in ran.err
+    assert not list(output.glob("*.exr"))
+    cameras.write_text(json.dumps([good]))
+    assert run(*words, "--cameras", cameras).status == 0 and len(list(output.glob("*.exr"))) == 4
+
+
+def test_what_is_computed_when_a_run_fails_is_written(
+    run: Run, tiny: list[str], files: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A map that is there when the run begins, and no more when its turn comes."""
+    skies, output = tmp_path / "skies", tmp_path / "out"
+    shutil.copytree(files / "skies", skies)
+    (skies / "cut.exr").write_bytes((skies / "blue.exr").read_bytes()[:400])
+    monkeypatch.setattr(command_module, "check_inputs", lambda *_: None)
+    words = [*tiny[:3], str(skies), *tiny[4:], "-o", str(output)]
+    assert run(*words).status == 2
+    assert sorted(path.name[:4] for path in output.glob("*.exr")) == ["blue", "blue"]
+    (skies / "cut.exr").unlink()
+    ran = run(*words, "--json")
+    assert ran.status == 0 and ran.events[0]["skipped"] == 2 and ran.events[-1]["frames"] == 2
+    assert run(*tiny, "-o", tmp_path / "one").status == 0
+    assert contents(output).items() - contents(tmp_path / "one").items() == {
+        ("manifest.json", contents(output)["manifest.json"])  # it names the maps' paths
+    }
+
+
+@pytest.mark.parametrize("ends", [None, "journal", "manifest"])
+def test_a_batch_grows(
+    run: Run, tiny: list[str], files: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ends: str | None
+) -> None:
+    """More lights, materials and views: what is finished stays, though a run ends as it takes the folder over."""
+    cameras, output = tmp_path / "cameras.json", tmp_path / "out"
+    front, side = (
+        {"eye": eye, "target": [0, 0, 0], "name": n} for eye, n in (([0, 0, 5], "f"), ([5, 0, 0], "s"))
+    )
+    cameras.write_text(json.dumps([front]))
+    blue = [*tiny[:3], str(files / "skies" / "blue.exr"), *tiny[4:], "--cameras", str(cameras)]
+    assert run(*blue, "-o", output).status == 0
+    cameras.write_text(json.dumps([side, front]))
+    more = [*tiny, "--brdf", "lambert:albedo=0.2", "--cameras", str(cameras)]
+    if ends is not None:
+        real = Folder.write
+
+        def full(folder: Folder, name: str, write: Any) -> str:
+            if name.startswith("manifest" if ends == "manifest" else "finished"):
+                raise PrtclError(f"{name}: no room\nmake some")
+            return real(folder, name, write)
+
+        with monkeypatch.context() as patch:
+            patch.setattr(Folder, "write", full)
+            assert run(*more, "-o", output).status == 1
+    ran = run(*more, "--json", "-o", output)
+    assert ran.status == 0, ran.err
+    assert ran.events[0]["skipped"] == 2 and ran.events[-1]["frames"] == 10
+    assert run(*more, "-o", tmp_path / "one").status == 0
+    assert contents(output) == contents(tmp_path / "one")
+    ran = run(*blue, "-o", output)
+    assert ran.status == 2 and "what differs is environments" in ran.err, "it would leave finished images out"
+    assert contents(output) == contents(tmp_path / "one")
+
+
+def test_a_batch_does_not_grow_over_a_file_of_others(
+    run: Run, tiny: list[str], files: Path, tmp_path: Path
+) -> None:
+    blue = [*tiny[:3], str(files / "skies" / "blue.exr"), *tiny[4:]]
+    assert run(*blue, "-o", tmp_path).status == 0
+    mine = tmp_path / "red_lambert-albedo-0.5_view.exr"
+    mine.write_bytes(b"mine")
+    before = contents(tmp_path)
+    ran = run(*tiny, "-o", tmp_path)
+    assert ran.status == 2 and mine.name in ran.err and contents(tmp_path) == before
 
 
 def test_files_of_others_are_not_replaced(run: Run, tiny: list[str], tmp_path: Path) -> None:

@@ -24,7 +24,7 @@ from prtcl.scene.camera_path import View
 from prtcl.scene.frames_ahead import ahead
 from prtcl.scene.frames_engine import Engine, Simple, Wanted, with_rotation
 from prtcl.scene.frames_looks import Looks
-from prtcl.scene.frames_view import ViewEngine
+from prtcl.scene.frames_view import NOT_TAKEN, ViewEngine
 from prtcl.scene.kept_visibility import KeptVisibility
 from prtcl.scene.mesh import Mesh
 from prtcl.scene.scene import Path, read_environment
@@ -119,7 +119,8 @@ def relight(
     points : "pixel" computes radiance at what the pixels see, "vertex" at the mesh's vertices
     samples : N × N sub-pixel points a pixel, 1 to 64, traced once a view; None takes what suits the engine
     factorization : "light" collapses L ⊕ V for each light, for all materials; "view" makes V ⊕ f_v for each view, for
-        blocks of lights at once, which pays from some ten lights on; it takes neither vertices nor colours of the mesh
+        blocks of lights at once, which pays from some ten lights on; it takes neither vertices nor colours of the mesh,
+        and of `settings` only `hard`
     up, repair : as for `read_environment`
     device : None chooses one
     two_sided, smooth, settings : as for `Scene`
@@ -183,6 +184,11 @@ def engine_for(
     InputError
         As `engine_of`.
     """
+    given = [name for name in NOT_TAKEN if settings.get(name) is not None]
+    if factorization == "view" and given:
+        raise InputError(
+            f"{given[0]}: is of factorization light, and view has no use for it; leave one of them out"
+        )
     mesh, bake = read_mesh_or_bake(source)
     looks = Looks(
         materials, mesh, alone=points == "vertex" or bake is not None,

@@ -45,6 +45,9 @@ class Engine(Protocol):
     def device(self) -> Device:
         """Where kernels run, whose profile has the time of every stage."""
 
+    tracer: Tracer
+    """Of the mesh."""
+
     def ahead(self, environment: Environment) -> None:
         """Do what can be done for a light on another thread, before its turn comes."""
 

@@ -21,6 +21,8 @@ from prtcl.scene.mesh import Mesh
 from prtcl.scene.view_points import SIDE, ViewPoints
 from prtcl.transport.fixed_view import Bits, FixedView, Keeper, rays_for
 
+NOT_TAKEN = ("levels", "rays", "keep", "views", "method", "visibility")
+"""Settings of L ⊕ V that V ⊕ f_v has no use for."""
 TOGETHER = 128
 """Lights of one product, at most: transport is made anew for each block."""
 

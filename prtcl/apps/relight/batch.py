@@ -6,6 +6,7 @@ import argparse
 import json
 from collections.abc import Callable
 from dataclasses import dataclass
+from importlib.metadata import version
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -13,21 +14,22 @@ from typing import Any
 from prtcl._version import __version__
 from prtcl.apps.bake_options import read_bake
 from prtcl.apps.relight import folder, inputs, names
+from prtcl.apps.relight.checks import check_options, refuse_inputs
+from prtcl.apps.relight.growth import common
+from prtcl.compute import tuning
 from prtcl.compute.device import Device
-from prtcl.errors import InputError
 from prtcl.factors.material import Material
 from prtcl.files.digest import json_sha256
 from prtcl.scene.bake import Bake, is_bake
 from prtcl.scene.camera import Camera, Triple
 from prtcl.scene.camera_path import View, read_views, turntable
 from prtcl.scene.engine_choice import BATCH, Choice, choose_engine
-from prtcl.scene.frames import FACTORIZATIONS, SAMPLES, jobs
-from prtcl.scene.frames_engine import with_rotation
+from prtcl.scene.frames import FACTORIZATIONS, SAMPLES, engine_for, jobs
+from prtcl.scene.frames_engine import Engine, with_rotation
 from prtcl.scene.frames_looks import Looks
-from prtcl.scene.frames_view import serves
+from prtcl.scene.frames_view import NOT_TAKEN, serves
 from prtcl.scene.kept_visibility import KeptVisibility
 from prtcl.scene.mesh import Mesh, read_mesh
-from prtcl.scene.plan import check_error
 from prtcl.scene.plan_frames import plan_frames
 from prtcl.scene.scene import Scene, read_environment
 from prtcl.scene.view_points import SIDE
@@ -61,6 +63,13 @@ class Batch:
     choice: Choice
     kept: KeptVisibility | None
 
+    def engine(self, device: Device, two_sided: bool) -> Engine:
+        """What computes the images: that of the trial where there was one, otherwise a new one."""
+        return self.choice.engine or engine_for(
+            self.source, self.materials, device, points=self.points, samples=self.samples,
+            factorization=self.factorization, two_sided=two_sided, kept=self.kept, **self.settings,
+        )  # fmt: skip
+
 
 def read(
     options: argparse.Namespace, device: Device, note: Callable[[str], object] | None = None,
@@ -78,7 +87,7 @@ def read(
     InputError
         If something is wrong with an option or a file.
     """
-    check(options)
+    check_options(options)
     lights = inputs.environments(options.env)
     if materials is None:
         given = dict.fromkeys(options.brdf or [None])
@@ -116,33 +125,39 @@ def read(
             f"{100 * plan.predicted:.2g} %",
         ]
     points = "vertex" if isinstance(source, Bake) else options.points or "pixel"
-    choice = Choice(options.factorization, "asked for")
     light_names = names.unique(names.plain(path.stem) for path in lights)
     light_digests = [inputs.file_digest(path) for path in lights]
     specs = [(m.spec if m is not None else "own") for m in materials]
     material_names = names.unique(map(names.material_name, specs))
     view_names = names.unique(names.plain(view.name) for view in views)
     turns = names.rotation_names(rotations)
-    plain = {"points": points, "samples": samples, "settings": settings}
-    if choice.factorization == "auto":
-        before = None if options.overwrite else chosen_before(Path(options.output), plain)
-        choice = before or choose(options, device, mesh, lights, rotations, materials, views, plain, kept)
-    factorization = choice.factorization
-    if samples is None:
-        samples = SAMPLES if factorization == "light" else SIDE
-    made_of = inputs.as_json({
-        "version": __version__,
+    plain = {
+        "version": __version__, "embreex": version("embreex"),
         "mesh": inputs.mesh_digest(mesh, bits),
         "environments": list(zip(light_names, light_digests, strict=True)),
         "rotations": rotations,
         "materials": [(spec, inputs.material_digest(m)) for spec, m in zip(specs, materials, strict=True)],
         "cameras": [(name, vars(view.camera)) for name, view in zip(view_names, views, strict=True)],
-        "points": points, "factorization": factorization, "samples": samples, "env-up": options.env_up,
-        "repair": options.repair,
+        "points": points, "env-up": options.env_up, "repair": options.repair,
         "one-sided": options.one_sided, "png": options.png, "exposure": options.exposure if options.png else None,
         **settings, "precision": options.precision,
-        "device": f"{device.name}, driver {device.driver}",
-    })  # fmt: skip
+        "device": f"{device.name}, driver {device.driver}", "kernels": tuning.forms_of(device),
+    }  # fmt: skip
+
+    def made_by(factorization: str) -> dict[str, Any]:
+        """All that the images depend on."""
+        usual = SAMPLES if factorization == "light" else SIDE
+        own = {"factorization": factorization, "samples": usual if samples is None else samples}
+        return dict(inputs.as_json({**plain, **own}))
+
+    choice = Choice(options.factorization, "asked for")
+    if choice.factorization == "auto":
+        before = chosen_before(Path(options.output), made_by)
+        choice = before or choose(
+            options, device, mesh, lights, rotations, materials, views, points, samples, settings, kept
+        )
+    factorization = choice.factorization
+    made_of = made_by(factorization)
     every = list(jobs(len(views), len(lights), len(rotations), len(materials)))
     stems = names.unique(
         names.file_stem(
@@ -157,7 +172,6 @@ def read(
         "about": "images are linear RGBA, float32, colour premultiplied by alpha; rotation in degrees about the up "
         "axis, counter-clockwise from above; fov horizontal, in degrees; finished.jsonl lists what is done",
         "inputs": made_of,
-        "factorization": {"chosen": factorization, "asked": plain},
         **expected,
         "environments": [
             {"name": name, "file": str(path), "sha256": digest}
@@ -179,7 +193,7 @@ def read(
     })  # fmt: skip
     refuse_inputs(Path(options.output), manifest, [*lights, Path(options.mesh)])
     return Batch(
-        source, lights, rotations, materials, views, points, samples, factorization, settings, manifest,
+        source, lights, rotations, materials, views, points, made_of["samples"], factorization, settings, manifest,
         [*mesh.notes, *notes], choice, kept,
     )  # fmt: skip
 
@@ -188,31 +202,35 @@ MANY = 10
 """Lights from which it is worth trying both factorizations."""
 
 
-def chosen_before(output: Path, asked: dict[str, Any]) -> Choice | None:
-    """What a run of this job that was interrupted chose: both cost about the same there, and time is no input."""
+def chosen_before(output: Path, made_by: Callable[[str], dict[str, Any]]) -> Choice | None:
+    """What a run of this job that was interrupted chose, or of the same job with fewer lights: time is no input."""
     try:
-        told = json.loads((output / folder.MANIFEST).read_bytes())["factorization"]
-        if told["asked"] == inputs.as_json(asked) and told["chosen"] in FACTORIZATIONS:
-            return Choice(told["chosen"], "as the run before")
-    except (OSError, ValueError, KeyError, TypeError):
+        was = json.loads((output / folder.MANIFEST).read_bytes())["inputs"]
+        chosen = was["factorization"]
+        if chosen in FACTORIZATIONS and common(made_by(chosen)) == common(was):
+            return Choice(chosen, "as the run before")
+    except (OSError, ValueError, RecursionError, KeyError, TypeError, AttributeError):
         pass
     return None
 
 
 def choose(
     options: argparse.Namespace, device: Device, mesh: Mesh, lights: list[Path], rotations: list[float],
-    materials: list[Material | None], views: list[View], asked: dict[str, Any],
-    kept: KeptVisibility | None = None,
+    materials: list[Material | None], views: list[View], points: str, samples: int | None,
+    settings: dict[str, Any], kept: KeptVisibility | None,
 ) -> Choice:  # fmt: skip
     """The factorization of a batch, and why: tried on pixels of its first view where there are many lights."""
     count = len(lights) * len(rotations)
-    if asked["points"] == "vertex":
+    if points == "vertex":
         return Choice("light", "vertices are shaded so")
     if options.error is not None:
         return Choice("light", "an --error is planned for it")
     if count < MANY:
         return Choice("light", f"{count} lights are too few for a transport of their own")
-    looks = Looks(materials, mesh, **asked["settings"])
+    by_hand = [name for name in NOT_TAKEN if settings[name] is not None]
+    if by_hand:
+        return Choice("light", f"--{by_hand[0]} is its own")
+    looks = Looks(materials, mesh, **settings)
     if not serves(looks):
         return Choice("light", "a material has the mesh's own colour")
     first, _ = read_environment(lights[0], up=options.env_up, repair=options.repair)
@@ -220,44 +238,9 @@ def choose(
     # Of all lights only the number counts; the first stands for the others.
     environments = [turned[number % len(turned)] for number in range(count)]
     return choose_engine(
-        mesh, looks, device, views[0].camera, environments, samples=asked["samples"],
-        two_sided=not options.one_sided, hard=asked["settings"]["hard"] or "auto", kept=kept,
+        mesh, looks, device, views[0].camera, environments, samples=samples,
+        two_sided=not options.one_sided, hard=settings["hard"] or "auto", kept=kept,
     )  # fmt: skip
-
-
-def check(options: argparse.Namespace) -> None:
-    """Refuse options that contradict one another, before anything is read."""
-    if not abs(options.exposure) <= 1000:
-        raise InputError(f"--exposure {options.exposure}: expected stops between -1000 and 1000")
-    if options.samples is not None and not 1 <= options.samples <= 64:
-        raise InputError(
-            f"--samples {options.samples}: expected 1 to 64, N x N sub-pixel points of every pixel"
-        )
-    if is_bake(options.mesh) and options.points == "pixel":
-        raise InputError(
-            f"--points pixel: {options.mesh} holds the rays of vertices, not of pixels; relight the mesh it was made of"
-        )
-    if is_bake(options.mesh) and options.keep_visibility is not None:
-        raise InputError(
-            f"--keep-visibility: {options.mesh} holds its visibility already; leave one of them out"
-        )
-    if options.error is not None:
-        check_error(options.error)
-        if options.samples is not None or options.rays is not None:
-            raise InputError("--error: finds --samples and --rays; leave these out, or --error")
-        if options.points == "vertex" or is_bake(options.mesh):
-            raise InputError(
-                "--error: seeks the points of pixels; fix --levels and --rays of vertices by hand"
-            )
-    if options.turntable is not None and options.cameras is not None:
-        raise InputError("--turntable and --cameras: expected one of them, got both")
-    several = "--turntable" if options.turntable is not None else "--cameras" if options.cameras else None
-    if several and options.eye is not None:
-        raise InputError(f"--eye: {several} says where the eyes are; leave one of them out")
-    if options.cameras and options.target is not None:
-        raise InputError("--target: --cameras says where cameras look; leave one of them out")
-    if options.elevation is not None and options.turntable is None:
-        raise InputError("--elevation: is that of a --turntable; give both, or --eye")
 
 
 def views_of(options: argparse.Namespace, mesh: Mesh) -> tuple[list[View], list[str]]:
@@ -277,16 +260,3 @@ def views_of(options: argparse.Namespace, mesh: Mesh) -> tuple[list[View], list[
     eye = None if options.eye is None else tuple(options.eye)
     camera = Camera.framing(mesh.bounds, eye=eye, target=target, up=up, fov=options.fov, size=options.size)
     return [View("view", camera)], []
-
-
-def refuse_inputs(output: Path, manifest: dict[str, Any], sources: list[Path]) -> None:
-    """Refuse a batch that would replace a file that it reads."""
-    real = {source.resolve(): source for source in sources}
-    if output.resolve() not in {path.parent for path in real}:
-        return
-    for entry in manifest["frames"]:
-        for name in (entry[key] for key in ("file", "png") if key in entry):
-            if (output / name).resolve() in real:
-                raise InputError(
-                    f"{output / name}: is an input of this job and would be overwritten; choose another folder with -o"
-                )

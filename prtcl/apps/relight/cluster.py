@@ -30,13 +30,14 @@ from prtcl.apps.relight import batch
 from prtcl.apps.relight.folder import Folder, difference
 from prtcl.apps.relight.images import SECONDS, make_images
 from prtcl.apps.relight.shared import Shared
-from prtcl.compute import choice, tuning
+from prtcl.compute import choice
 from prtcl.compute.device import Device
+from prtcl.compute.tuning import VARIABLE
 from prtcl.errors import InputError
 from prtcl.factors.environment import Environment
 from prtcl.factors.material import Material, anchored
 from prtcl.scene.camera import Camera
-from prtcl.scene.frames import Sources, engine_for, jobs
+from prtcl.scene.frames import Sources, jobs
 from prtcl.scene.frames_engine import Engine, Image, Wanted
 from prtcl.scene.frames_view import TOGETHER
 
@@ -59,14 +60,12 @@ class Order:
     folder : from which relative paths in SPECs start
     specs : of the materials, as they were given
     manifest : of the output
-    forms : of kernels, which round in different ways
     """
 
     options: dict[str, Any]
     folder: str
     specs: list[str | None]
     manifest: dict[str, Any]
-    forms: dict[str, tuning.Form]
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +77,7 @@ class Made:
     notes: list[str]
 
 
-def order(options: argparse.Namespace, job: batch.Batch, device: Device) -> Order:
+def order(options: argparse.Namespace, job: batch.Batch) -> Order:
     """What workers are told."""
     fixed = {key: value for key, value in vars(options).items() if key not in ("run", "arguments")}
     fixed |= {
@@ -89,7 +88,7 @@ def order(options: argparse.Namespace, job: batch.Batch, device: Device) -> Orde
         "keep_visibility": options.keep_visibility and os.path.abspath(options.keep_visibility),
     }  # fmt: skip
     specs = list(dict.fromkeys(options.brdf or [None]))
-    return Order(fixed, os.getcwd(), specs, job.manifest, tuning.forms_of(device))
+    return Order(fixed, os.getcwd(), specs, job.manifest)
 
 
 def blocks(job: batch.Batch, finished: set[int], lights: int) -> Iterator[tuple[int, list[list[int]]]]:
@@ -111,7 +110,7 @@ def lights_of_a_task(job: batch.Batch, workers: int) -> int:
 
 
 def spread(
-    workers: Workers, options: argparse.Namespace, job: batch.Batch, folder: Folder, device: Device,
+    workers: Workers, options: argparse.Namespace, job: batch.Batch, folder: Folder,
     told: Callable[[int, dict[str, Any]], object], note: Callable[[str], object],
 ) -> tuple[dict[str, float], int]:  # fmt: skip
     """Have workers make what is missing, and record it.
@@ -131,7 +130,7 @@ def spread(
     InputError, PrtclError
         As `Workers.answers`.
     """
-    shared = workers.share(order(options, job, device))
+    shared = workers.share(order(options, job))
     each = options.chunk or lights_of_a_task(job, workers.count())
 
     def tasks() -> Iterator[Any]:
@@ -168,7 +167,7 @@ class Standing:
     """
 
     def __init__(self, engine: Engine) -> None:
-        self.engine = engine
+        self.engine, self.tracer = engine, engine.tracer
         self.before: Camera | None = None
         self.traced: Any = None
 
@@ -212,26 +211,19 @@ class Place:
         self.notes: list[str] = []
         self.job = batch.read(self.options, self.device, self.notes.append, materials)
         if self.job.manifest["job"] != told.manifest["job"]:
+            what = difference(self.job.manifest, told.manifest)
             raise InputError(
-                f"would make other images; what differs is {difference(self.job.manifest, told.manifest)}\n"
-                "workers need the same files, and a device and driver as the command's: see --device and PRTCL_DEVICE"
-            )
-        for name, form in tuning.forms_of(self.device).items():
-            if told.forms.get(name, form) != form:
-                raise InputError(
-                    f"was tuned otherwise: {name} is {form.name} {form.size}, this command's "
-                    f"{told.forms[name].name} {told.forms[name].size}\n"
-                    f"have one file of `prtcl bench --tune` for all in {tuning.VARIABLE}, or set it to nothing"
+                f"would make other images; what differs is {what}\n"
+                + (
+                    f"have one file of `prtcl bench --tune` for all in {VARIABLE}, or set it to nothing"
+                    if what.startswith("kernels")
+                    else "workers need the same files, and a device and driver as the command's: see --device and "
+                    "PRTCL_DEVICE"
                 )
+            )
         self.manifest = told.manifest
         self.sources = Sources(self.job.lights, self.options.env_up, self.options.repair, self.notes.append)
-        self.engine = Standing(
-            engine_for(
-                self.job.source, self.job.materials, self.device, points=self.job.points, samples=self.job.samples,
-                factorization=self.job.factorization, two_sided=not self.options.one_sided, kept=self.job.kept,
-                **self.job.settings,
-            )
-        )  # fmt: skip
+        self.engine = Standing(self.job.engine(self.device, not self.options.one_sided))
 
     def stand(self, view: int, traced: Any = None) -> Any:
         """Have the engine before a view."""

@@ -12,9 +12,13 @@ from typing import Any
 from prtcl.apps.cluster import Workers, connected
 from prtcl.apps.progress import bar
 from prtcl.apps.relight import batch, cluster
+from prtcl.apps.relight.checks import check_inputs
 from prtcl.apps.relight.folder import MANIFEST, Folder, opened
 from prtcl.apps.relight.images import SECONDS, make_images
 from prtcl.compute.device import Device
+from prtcl.factors.visibility import Tracer
+from prtcl.scene.bake import read_mesh_or_bake
+from prtcl.scene.frames import Sources, jobs
 
 Tell = Callable[..., None]
 
@@ -63,9 +67,17 @@ def make(
     )  # fmt: skip
     for number in sorted(finished):
         tell("skipped", index=number, **entries[number])
-    device.profile.reset()
     spent, count = dict.fromkeys(SECONDS, 0.0), 1
     if waiting:
+        engine = None if workers is not None else job.engine(device, not options.one_sided)
+        sources = Sources(job.lights, options.env_up, options.repair, _note)
+        mesh, _ = read_mesh_or_bake(job.source)
+        every = jobs(len(job.views), len(job.lights), len(job.rotations), len(job.materials))
+        missing = [own for own in every if own.index not in finished]
+        tracer = Tracer(mesh.vertices, mesh.faces) if engine is None else engine.tracer
+        with bar("read", options.quiet, " maps", scale=False) as notify:
+            check_inputs(missing, job.views, sources, tracer, mesh, notify)
+        device.profile.reset()
         with bar("relight", options.quiet, " images", scale=False) as notify:
             done = 0
 
@@ -79,11 +91,13 @@ def make(
             if notify is not None:
                 notify(0, waiting)
             if workers is None:
+                assert engine is not None
                 spent = make_images(
-                    job, folder, device, options, wanted=lambda own: own.index not in finished, told=told, note=_note
+                    job, folder, device, options, wanted=lambda own: own.index not in finished, told=told,
+                    engine=engine, sources=sources,
                 )  # fmt: skip
             else:
-                spent, count = cluster.spread(workers, options, job, folder, device, told, _note)
+                spent, count = cluster.spread(workers, options, job, folder, told, _note)
     return {
         "output": options.output,
         "frames": waiting,

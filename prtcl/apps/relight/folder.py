@@ -11,11 +11,12 @@ import errno
 import json
 import os
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
+from prtcl.apps.relight.growth import common, images
 from prtcl.apps.relight.inputs import file_digest
 from prtcl.apps.relight.lock import locked, unchanged
 from prtcl.errors import InputError, PrtclError
@@ -50,30 +51,39 @@ class Folder:
         return set(self._lines)
 
     def start(self, overwrite: bool) -> None:
-        """Take the folder over: continue its batch where it is this one, refuse another.
+        """Take the folder over: continue its batch where it is this one, or one that this has grown from.
 
         Raises
         ------
         InputError
-            If it holds another batch's images, or other files of the same names, and not `overwrite`.
+            If it holds finished images that are none of this batch's, or other files of the same names, and not
+            `overwrite`.
         PrtclError
             If it cannot be written.
         """
         with _writing(self.path), unchanged(self.path / MANIFEST, alone=True):
             self._sweep()
             was = self._read_manifest()
-            if was is None or _without_paths(was) != _without_paths(self.manifest):
-                if was is not None and not overwrite:
-                    raise InputError(
-                        f"{self.path}: holds another job's images; what differs is {difference(was, self.manifest)}\n"
-                        "choose another folder with -o, or replace them with --overwrite"
-                    )
-                if was is None and not overwrite:
-                    self._refuse_strangers()
+            if was is not None and _without_paths(was) == _without_paths(self.manifest):
+                self._lines = self._read_journal()
+                self._rewrite()
+                return
+            carried = None if was is None else self._carried(was)
+            if was is not None and carried is None and not overwrite:
+                raise InputError(
+                    f"{self.path}: holds another job's images; what differs is {difference(was, self.manifest)}\n"
+                    "choose another folder with -o, or replace them with --overwrite"
+                )
+            if not overwrite:
+                self._refuse_strangers(set() if was is None else images(was).keys())
+            if carried is None:
                 self._clear(was or {})
-                self.write(MANIFEST, lambda path: _write_text(path, laid_out(self.manifest)))
-            self._lines = self._read_journal()
-            self._rewrite()
+                self.write(MANIFEST, self._write_manifest)
+                self._rewrite()
+            else:  # first the journal: should this process end in between, it says what is finished
+                self._lines = carried
+                self._rewrite()
+                self.write(MANIFEST, self._write_manifest)
 
     def record(self, number: int, digests: dict[str, str]) -> None:
         """Note that an image is done, its files being on the disk."""
@@ -143,6 +153,24 @@ class Folder:
             return {}
         return found if isinstance(found, dict) else {}
 
+    def _carried(self, was: dict[str, Any]) -> dict[int, dict[str, str]] | None:
+        """Lines of another batch's finished images, by their numbers here; None if one there is none of ours."""
+        try:
+            if was["format"] != FORMAT or common(was["inputs"]) != common(self.manifest["inputs"]):
+                return None
+            before, now = images(was), images(self.manifest)
+            finished = self._read_journal() or Folder(self.path, was)._read_journal()
+        except (KeyError, TypeError, ValueError, AttributeError):
+            return None
+        if any(now.get(name) != own and os.path.lexists(self.path / name) for name, own in before.items()):
+            return None
+        numbers = {names[0]: number for number, names in enumerate(self.files)}
+        lines = {numbers[name]: own for own in finished.values() for name in own if name in numbers}
+        return dict(sorted(lines.items()))
+
+    def _write_manifest(self, path: Path) -> None:
+        _write_text(path, laid_out(self.manifest))
+
     def _read_journal(self) -> dict[int, dict[str, str]]:
         """Lines of images whose files are what the line says; a last line that was cut off counts as none."""
         try:
@@ -170,9 +198,11 @@ class Folder:
         except InputError:
             return False
 
-    def _refuse_strangers(self) -> None:
-        for name in (name for own in self.files for name in own):
-            if os.path.lexists(self.path / name):
+    def _refuse_strangers(self, known: Collection[str]) -> None:
+        for own in self.files:
+            for name in own if own[0] not in known else ():
+                if not os.path.lexists(self.path / name):
+                    continue
                 raise InputError(
                     f"{self.path / name}: is there already, and no run of `prtcl relight` is known to have made it\n"
                     "choose another folder with -o, or replace it with --overwrite"
@@ -250,7 +280,11 @@ def difference(was: dict[str, Any], wanted: dict[str, Any]) -> str:
         return f"{MANIFEST}, which is none of this version's"
     for key, value in now.items():
         old = before.get(key)
-        if old != value:
+        if isinstance(old, dict) and isinstance(value, dict):
+            own = [name for name in value if old.get(name) != value[name]]
+            if own:
+                return f"{key}: {own[0]} {old.get(own[0])} there, {value[own[0]]} here"
+        elif old != value:
             simple = all(own is None or isinstance(own, str | int | float | bool) for own in (old, value))
             short = simple and len(f"{old}{value}") < 200
             return f"{key}: {old} there, {value} here" if short else key

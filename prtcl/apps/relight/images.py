@@ -22,27 +22,22 @@ SECONDS = (
 
 def make_images(
     job: Batch, folder: Folder, device: Device, options: argparse.Namespace, *, wanted: Callable[[Job], bool],
-    told: Callable[[int, dict[str, Any]], object], note: Callable[[str], object] | None = None,
-    engine: Engine | None = None, sources: Sources | None = None,
+    told: Callable[[int, dict[str, Any]], object], engine: Engine, sources: Sources,
 ) -> dict[str, float]:  # fmt: skip
     """Compute and write the images that are wanted.
 
     Parameters
     ----------
     told : called with each image's number and entry of the manifest, once it is on the disk
-    note : called with notes on lights
-    engine, sources : of this batch, where they are kept for more of its images; `note` is then that of `sources`
+    engine, sources : of this batch
 
     Returns
     -------
     seconds : `SECONDS`, of the device since its profile was last reset
     """
     frames = relight(
-        job.source, sources or job.lights, job.materials, job.views, rotations=job.rotations, points=job.points,
-        samples=job.samples, factorization=job.factorization, up=options.env_up, repair=options.repair,
-        device=device, two_sided=not options.one_sided, wanted=wanted, note=note, engine=engine or job.choice.engine,
-        kept=job.kept, **job.settings,
-    )  # fmt: skip
+        job.source, sources, job.materials, job.views, rotations=job.rotations, wanted=wanted, engine=engine
+    )
     with closing(frames), Writer(folder, options.exposure, told) as writer:
         for frame in frames:
             writer.put(frame)

@@ -59,7 +59,8 @@ class Writer:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._dropped = kind is not None
+        # What is computed is written, whatever went wrong since; an interrupt does not wait for it.
+        self._dropped = kind is not None and not issubclass(kind, Exception)
         start = time.perf_counter()
         self._queue.put(None)
         self._thread.join()
