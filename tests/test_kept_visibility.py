@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 from collections.abc import Callable
 from contextlib import contextmanager
@@ -308,3 +309,16 @@ def test_what_the_command_line_refuses(run: Run, words: list[str], mesh: Mesh, t
     Bake.trace(mesh, 3).save(tmp_path / "bake.npz")
     ran = run(*["relight", tmp_path / "bake.npz", *words[2:]], "-o", tmp_path / "out")
     assert ran.status == 2 and "holds its visibility already" in ran.err
+
+
+def test_what_a_killed_job_left_is_removed_the_next_day(jobs: Jobs) -> None:
+    jobs.run("light")
+    left, fresh, mine = (
+        jobs.folder / name for name in (f".{'0' * 32}.zarr", f".{'1' * 32}.zarr", ".mine.zarr")
+    )
+    for path in (left, fresh, mine):
+        path.mkdir()
+    for path in (left, mine):
+        os.utime(path, (1e9, 1e9))
+    jobs.run("light")
+    assert not left.exists() and fresh.exists() and mine.exists()

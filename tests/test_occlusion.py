@@ -188,7 +188,9 @@ def test_the_command_writes_each_kind(
         (["-o", "a.txt"], "expected a name that ends in .ply, .npz, .exr"),
         (["-o", str(tmp_path / "b.exr")], "name their --vertices"),
         (["-o", str(tmp_path / "b.ply"), "--vertices", "1"], "leave out --vertices"),
-        (["-o", str(tmp_path / "b.exr"), "--vertices", "5"], "expected at most 4096 from 0 to 4"),
+        (["-o", str(tmp_path / "b.exr"), "--vertices", "5"], "expected numbers from 0 to 4, got 5"),
+        (["-o", str(tmp_path / "b.exr"), "--vertices", "9" * 20], "got 99999999999999999999"),
+        (["-o", str(tmp_path / "b.exr"), "--vertices", *["0"] * 4097], "expected at most 4096, got 4097"),
     ):
         assert cli.main(["occlusion", str(path), *arguments]) == 2
         assert word in capsys.readouterr().err

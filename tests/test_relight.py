@@ -331,7 +331,7 @@ def test_a_full_turn_by_one_degree_has_360() -> None:
 
 
 @pytest.mark.parametrize(
-    "text", ["", "x", "0:360", "0:360:0", "0:360:-1", "0:360:1:1", "nan", "0:inf:1", "0:1:1e-9"]
+    "text", ["", "x", "0:360", "0:360:0", "0:360:-1", "0:360:1:1", "nan", "0:inf:1", "0:1:1e-9", "1e300"]
 )
 def test_rotations_that_are_none(run: Run, tiny: list[str], tmp_path: Path, text: str) -> None:
     ran = run(*tiny, "--env-rotate", text, "-o", tmp_path / "out")
@@ -367,6 +367,10 @@ def test_globs(run: Run, tiny: list[str], files: Path, tmp_path: Path) -> None:
     assert run(*rest, "--env", f"{files}/sk*/*e*.exr", "-o", tmp_path / "out").status == 0
     names = json.loads((tmp_path / "out" / "manifest.json").read_text())["environments"]
     assert [entry["name"] for entry in names] == ["blue", "red"]
+    # What macOS keeps beside a file on other disks.
+    shutil.copytree(files / "skies", tmp_path / "skies")
+    (tmp_path / "skies" / "._blue.exr").write_bytes(b"no map")
+    assert run(*rest, "--env", tmp_path / "skies", "-o", tmp_path / "out").status == 0
     for pattern in (f"{files}/sk*/*.hdr", f"{files}/*.ply", f"{tmp_path}/no*/**"):
         ran = run(*rest, "--env", pattern, "-o", tmp_path / "none")
         assert ran.status == 2 and pattern in ran.err and "no file matches" in ran.err

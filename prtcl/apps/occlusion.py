@@ -60,11 +60,13 @@ def run(options: argparse.Namespace) -> int:
     check_writable(output)
     check_not_input(output, options.bake)
     mesh, rays, parts = _open(options.bake)
-    chosen = np.array(options.vertices or [], dtype=np.int64)
-    if len(chosen) > TILES or (len(chosen) and not 0 <= chosen.min() <= chosen.max() < len(mesh.vertices)):
-        raise InputError(
-            f"--vertices: expected at most {TILES} from 0 to {len(mesh.vertices) - 1}, got {len(chosen)}"
-        )
+    named: list[int] = options.vertices or []
+    if len(named) > TILES:
+        raise InputError(f"--vertices: expected at most {TILES}, got {len(named)}")
+    for vertex in named:
+        if not 0 <= vertex < len(mesh.vertices):
+            raise InputError(f"--vertices: expected numbers from 0 to {len(mesh.vertices) - 1}, got {vertex}")
+    chosen = np.array(named, dtype=np.int64)
     assert mesh.normals is not None
     ambient = np.empty(len(mesh.vertices), dtype=np.float32)
     bent = np.empty((len(mesh.vertices), 3), dtype=np.float32)

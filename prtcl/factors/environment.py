@@ -100,6 +100,12 @@ class Environment:
             undo = undo @ np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
         return undo
 
+    @property
+    def host_bytes(self) -> int:
+        """Of the map, and of what `split` has made of it."""
+        parts = list(self._parts.values())  # another thread may be at it
+        return int(self.image.nbytes) + sum(own.cube.nbytes + own.hard.nbytes for own in parts)
+
     def texel_solid_angles(self) -> npt.NDArray[np.float64]:
         """Solid angle of one texel of every row: (h,) sr."""
         height = self.image.shape[0]

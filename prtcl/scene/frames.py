@@ -271,7 +271,7 @@ class Sources:
                     self._note(f"{self.name(number)}: {text}")
             self._told.add(number)
             self._kept[number] = environment
-            while len(self._kept) > 1 and sum(e.image.nbytes for e in self._kept.values()) > KEPT:
+            while len(self._kept) > 1 and sum(e.host_bytes for e in self._kept.values()) > KEPT:
                 self._kept.popitem(last=False)
         self._kept.move_to_end(number)
         return self._kept[number]

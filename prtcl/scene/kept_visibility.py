@@ -14,7 +14,11 @@ from __future__ import annotations
 
 import json
 import os
+import re
+import shutil
+import time
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import asdict
 from importlib.metadata import version
 from pathlib import Path
@@ -39,6 +43,9 @@ FORMAT = 1
 KIND = "prtcl visibility"
 WHAT = "visibility kept by `prtcl relight --keep-visibility`"
 KEY_DIGITS = 20
+DAY = 86400.0
+_ASIDE = re.compile(r"\.[0-9a-f]{32}\.zarr")
+"""Stores written aside (`prtcl.files.folder.replacing_folder`)."""
 
 
 class KeptVisibility:
@@ -67,6 +74,7 @@ class KeptVisibility:
             raise InputError(
                 f"{self.folder}: expected a folder to keep visibility in, cannot be made: {error.strerror}"
             ) from error
+        self._sweep()
         self._of = {
             "prtcl": __version__,
             "embreex": version("embreex"),
@@ -130,6 +138,13 @@ class KeptVisibility:
         except PrtclError as error:  # the images do not need it
             self._tell(f"{error}\nthe view's visibility is not kept")
         return bits
+
+    def _sweep(self) -> None:
+        """Remove what jobs that were killed have half written; other jobs may be writing, but not since yesterday."""
+        for path in self.folder.glob(".*.zarr"):
+            with suppress(OSError):
+                if _ASIDE.fullmatch(path.name) and time.time() - path.stat().st_mtime > DAY:
+                    shutil.rmtree(path)
 
     def _tell(self, text: str) -> None:
         if self._note is not None:

@@ -33,13 +33,13 @@ def environments(given: Sequence[str]) -> list[Path]:
     for text in given:
         path = Path(text)
         if path.is_dir():
-            inside = sorted(p for p in path.iterdir() if p.suffix.lower() in EXTENSIONS and p.is_file())
+            inside = sorted(filter(_is_map, path.iterdir()))
             if not inside:
                 raise InputError(f"--env {text}: there is no {', '.join(EXTENSIONS)} in this folder")
             found += inside
         elif glob.has_magic(text) and not path.exists():
             matches = sorted(Path(name) for name in glob.glob(text, recursive=True))
-            maps = [p for p in matches if p.suffix.lower() in EXTENSIONS and p.is_file()]
+            maps = list(filter(_is_map, matches))
             if not maps:
                 raise InputError(
                     f"--env {text}: expected environment maps ({', '.join(EXTENSIONS)}), no file matches\n"
@@ -52,6 +52,11 @@ def environments(given: Sequence[str]) -> list[Path]:
     for path in found:
         once.setdefault(os.path.realpath(path), path)
     return list(once.values())
+
+
+def _is_map(path: Path) -> bool:
+    """By its name. What macOS keeps beside a file on other disks, ._sky.exr, is none."""
+    return path.suffix.lower() in EXTENSIONS and not path.name.startswith(".") and path.is_file()
 
 
 def file_digest(path: str | os.PathLike[str]) -> str:

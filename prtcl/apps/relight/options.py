@@ -10,6 +10,8 @@ from typing import Any
 from prtcl.apps.arguments import add_camera, add_device, add_fine, add_points, add_scheduler
 
 MOST_ROTATIONS = 100_000
+MOST_DEGREES = 36_000.0
+"""A hundred turns: beyond, nobody means what is written."""
 
 
 def register(commands: Any, run: Callable[[argparse.Namespace], int]) -> None:
@@ -118,6 +120,10 @@ def _range(text: str) -> list[float]:
     if len(numbers) not in (1, 3) or not all(math.isfinite(number) for number in numbers):
         raise argparse.ArgumentTypeError(
             f"expected degrees, or START:STOP:STEP such as 0:360:90, got {text!r}"
+        )
+    if max(map(abs, numbers)) > MOST_DEGREES:
+        raise argparse.ArgumentTypeError(
+            f"expected at most {MOST_DEGREES:g} degrees either way, got {text!r}"
         )
     if len(numbers) == 1:
         return numbers
