@@ -15,16 +15,15 @@ from prtcl._version import __version__
 from prtcl.apps.bake_options import read_bake
 from prtcl.apps.relight import folder, inputs, names
 from prtcl.apps.relight.checks import check_options, refuse_inputs
-from prtcl.apps.relight.growth import common
+from prtcl.apps.relight.manifest import common, manifest_of
 from prtcl.compute import tuning
 from prtcl.compute.device import Device
 from prtcl.factors.material import Material
-from prtcl.files.digest import json_sha256
 from prtcl.scene.bake import Bake, is_bake
 from prtcl.scene.camera import Camera, Triple
 from prtcl.scene.camera_path import View, read_views, turntable
 from prtcl.scene.engine_choice import BATCH, Choice, choose_engine
-from prtcl.scene.frames import FACTORIZATIONS, SAMPLES, engine_for, jobs
+from prtcl.scene.frames import FACTORIZATIONS, SAMPLES, engine_for
 from prtcl.scene.frames_engine import Engine, with_rotation
 from prtcl.scene.frames_looks import Looks
 from prtcl.scene.frames_view import NOT_TAKEN, serves
@@ -128,9 +127,7 @@ def read(
     light_names = names.unique(names.plain(path.stem) for path in lights)
     light_digests = [inputs.file_digest(path) for path in lights]
     specs = [(m.spec if m is not None else "own") for m in materials]
-    material_names = names.unique(map(names.material_name, specs))
     view_names = names.unique(names.plain(view.name) for view in views)
-    turns = names.rotation_names(rotations)
     plain = {
         "version": __version__, "embreex": version("embreex"),
         "mesh": inputs.mesh_digest(mesh, bits),
@@ -158,39 +155,7 @@ def read(
         )
     factorization = choice.factorization
     made_of = made_by(factorization)
-    every = list(jobs(len(views), len(lights), len(rotations), len(materials)))
-    stems = names.unique(
-        names.file_stem(
-            light_names[j.light], turns[j.rotation], material_names[j.material], view_names[j.view]
-        )
-        for j in every
-    )
-    files = folder.frame_files(stems, options.png)
-    manifest = inputs.as_json({
-        "format": folder.FORMAT,
-        "job": json_sha256(made_of),
-        "about": "images are linear RGBA, float32, colour premultiplied by alpha; rotation in degrees about the up "
-        "axis, counter-clockwise from above; fov horizontal, in degrees; finished.jsonl lists what is done",
-        "inputs": made_of,
-        **expected,
-        "environments": [
-            {"name": name, "file": str(path), "sha256": digest}
-            for name, path, digest in zip(light_names, lights, light_digests, strict=True)
-        ],
-        "materials": [
-            {"name": name, "spec": spec} for name, spec in zip(material_names, specs, strict=True)
-        ],
-        "views": [
-            {"name": name, **vars(view.camera)} for name, view in zip(view_names, views, strict=True)
-        ],
-        "frames": [
-            {
-                **own, "environment": light_names[j.light], "rotation": rotations[j.rotation],
-                "material": material_names[j.material], "view": view_names[j.view],
-            }
-            for own, j in zip(files, every, strict=True)
-        ],
-    })  # fmt: skip
+    manifest = manifest_of(made_of, lights, expected)
     refuse_inputs(Path(options.output), manifest, [*lights, Path(options.mesh)])
     return Batch(
         source, lights, rotations, materials, views, points, made_of["samples"], factorization, settings, manifest,

@@ -11,19 +11,18 @@ import errno
 import json
 import os
 import re
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-from prtcl.apps.relight.growth import common, images
 from prtcl.apps.relight.inputs import file_digest
 from prtcl.apps.relight.lock import locked, unchanged
+from prtcl.apps.relight.manifest import FORMAT, common, images
 from prtcl.errors import InputError, PrtclError
 from prtcl.files.atomic import made_folder, replacing
 
 MANIFEST, JOURNAL = "manifest.json", "finished.jsonl"
-FORMAT = 1
 _ASIDE = re.compile(r"\.[0-9a-f]{32}(\.[0-9a-z]+)?")
 """Files written aside by a run that was killed (`prtcl.files.atomic.replacing`)."""
 
@@ -340,8 +339,3 @@ def _flush_folder(path: Path) -> None:
             os.fsync(file)
         finally:
             os.close(file)
-
-
-def frame_files(stems: Sequence[str], png: bool) -> list[dict[str, str]]:
-    """The files of every image."""
-    return [{"file": f"{stem}.exr", **({"png": f"{stem}.png"} if png else {})} for stem in stems]
