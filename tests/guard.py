@@ -17,6 +17,7 @@ import numpy as np
 from prtcl.compute.device import Device
 
 SENTINEL = np.uint32(0x7FF8A5A5)
+POCL = "Portable Computing Language"
 BAND = 4096
 """Bytes on either side: a multiple of every device's alignment of sub-buffers (NVIDIA's is 512)."""
 
@@ -57,11 +58,21 @@ def guard_bands(device: Device) -> Iterator[list[Guarded]]:
         made.append(Guarded(device, shape, dtype or device.dtype))
         return made[-1].array
 
+    def paste(source: Any, target: Any, row: int, column: int = 0, *, stage: str = "copies") -> None:
+        """`Device.paste` by way of the host: PoCL 3.0 crashes as it copies a rectangle between parts of buffers."""
+        if source.size:
+            whole = target.get()
+            whole[row : row + len(source), column : column + source.shape[1]] = source.get()
+            target.set(whole)
+
     device.empty = empty  # type: ignore[method-assign]
+    if device.platform == POCL:
+        device.paste = paste  # type: ignore[method-assign]
     try:
         yield made
     finally:
         del device.empty
+        vars(device).pop("paste", None)
     for guarded in made:
         touched = guarded.touched()
         assert not touched, f"{touched} bytes outside an array of shape {guarded.array.shape} were written"
