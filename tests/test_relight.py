@@ -460,7 +460,7 @@ def test_a_bad_map_or_view_ends_a_run_before_its_first_image(
     )
     cameras.write_text(json.dumps([good, away]))
     ran = run(*words, "--cameras", cameras)
-    assert ran.status == 2 and "view away: " in ran.err and "sees nothing" in ran.err
+    assert ran.status == 2 and "away: " in ran.err and "sees nothing" in ran.err
     assert not list(output.glob("*.exr"))
     cameras.write_text(json.dumps([good]))
     assert run(*words, "--cameras", cameras).status == 0 and len(list(output.glob("*.exr"))) == 4
@@ -486,7 +486,7 @@ def test_what_is_computed_when_a_run_fails_is_written(
     }
 
 
-@pytest.mark.parametrize("ends", [None, "journal", "manifest"])
+@pytest.mark.parametrize("ends", [None, "journal", "manifest", "the old command after it"])
 def test_a_batch_grows(
     run: Run, tiny: list[str], files: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ends: str | None
 ) -> None:
@@ -504,13 +504,17 @@ def test_a_batch_grows(
         real = Folder.write
 
         def full(folder: Folder, name: str, write: Any) -> str:
-            if name.startswith("manifest" if ends == "manifest" else "finished"):
+            if name.startswith("finished" if ends == "journal" else "manifest"):
                 raise PrtclError(f"{name}: no room\nmake some")
             return real(folder, name, write)
 
         with monkeypatch.context() as patch:
             patch.setattr(Folder, "write", full)
             assert run(*more, "-o", output).status == 1
+    if ends == "the old command after it":
+        cameras.write_text(json.dumps([front]))
+        assert "all 2 images were there" in run(*[w for w in blue if w != "--quiet"], "-o", output).out
+        cameras.write_text(json.dumps([side, front]))
     ran = run(*more, "--json", "-o", output)
     assert ran.status == 0, ran.err
     assert ran.events[0]["skipped"] == 2 and ran.events[-1]["frames"] == 10

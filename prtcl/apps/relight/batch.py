@@ -173,7 +173,8 @@ def chosen_before(output: Path, made_by: Callable[[str], dict[str, Any]]) -> Cho
         was = json.loads((output / folder.MANIFEST).read_bytes())["inputs"]
         chosen = was["factorization"]
         if chosen in FACTORIZATIONS and common(made_by(chosen)) == common(was):
-            return Choice(chosen, "as the run before")
+            lights = len(was["environments"]) * len(was["rotations"])
+            return Choice(chosen, f"as the run before, of {lights} lights")
     except (OSError, ValueError, RecursionError, KeyError, TypeError, AttributeError):
         pass
     return None

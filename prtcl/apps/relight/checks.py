@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable, Iterable
+from glob import has_magic
 from pathlib import Path
 from typing import Any
 
+from prtcl.apps.relight.names import plain
 from prtcl.errors import InputError
 from prtcl.factors.visibility import Tracer
 from prtcl.scene.bake import is_bake
@@ -30,6 +32,16 @@ def check_options(options: argparse.Namespace) -> None:
         raise InputError(
             f"--samples {options.samples}: expected 1 to 64, N x N sub-pixel points of every pixel"
         )
+    if not options.output:
+        raise InputError("--output: expected a folder, got no name")
+    for text in options.env:
+        path = Path(text)
+        folder = path if path.is_dir() else path.parent if has_magic(text) and not path.exists() else None
+        if folder is not None and folder.resolve() == Path(options.output).resolve():
+            raise InputError(
+                f"--output {options.output}: is where --env looks for maps, and the next run would take images for "
+                "them; choose another folder"
+            )
     if is_bake(options.mesh) and options.points == "pixel":
         raise InputError(
             f"--points pixel: {options.mesh} holds the rays of vertices, not of pixels; relight the mesh it was made of"
@@ -86,7 +98,7 @@ def check_inputs(
         try:
             check_eye(tracer, mesh, views[view].camera)
         except InputError as error:
-            raise InputError(f"view {views[view].name}: {error}") from error
+            raise InputError(f"{plain(views[view].name)}: {error}") from error
     lights = sorted({job.light for job in jobs})
     for done, light in enumerate(lights, start=1):
         sources.read(light)

@@ -18,7 +18,7 @@ from typing import Any
 
 from prtcl.apps.relight.inputs import file_digest
 from prtcl.apps.relight.lock import locked, unchanged
-from prtcl.apps.relight.manifest import FORMAT, common, images
+from prtcl.apps.relight.manifest import FORMAT, LISTS, common, images, is_image
 from prtcl.errors import InputError, PrtclError
 from prtcl.files.atomic import made_folder, replacing
 
@@ -79,10 +79,13 @@ class Folder:
                 self._clear(was or {})
                 self.write(MANIFEST, self._write_manifest)
                 self._rewrite()
-            else:  # first the journal: should this process end in between, it says what is finished
+            else:
+                self._clear_unfinished(was or {}, carried)
+                # Should this process end in between, the journal says to both jobs what is finished.
                 self._lines = carried
-                self._rewrite()
+                self._rewrite((was or {}).get("job"))
                 self.write(MANIFEST, self._write_manifest)
+                self._rewrite()
 
     def record(self, number: int, digests: dict[str, str]) -> None:
         """Note that an image is done, its files being on the disk."""
@@ -136,9 +139,10 @@ class Folder:
             if _ASIDE.fullmatch(path.name) and not path.is_dir():  # a folder is kept visibility's
                 path.unlink(missing_ok=True)
 
-    def _rewrite(self) -> None:
+    def _rewrite(self, was: Any = None) -> None:
+        """Write the journal; of two jobs where this one takes over from another."""
         self._lines = dict(sorted(self._lines.items()))
-        lines = [_line({"job": self.manifest["job"]})]
+        lines = [_line({"job": self.manifest["job"], **({} if was is None else {"was": was})})]
         lines += [_line({"frame": number, "sha256": digests}) for number, digests in self._lines.items()]
         self.write(JOURNAL, lambda path: _write_text(path, b"".join(lines).decode()))
 
@@ -161,11 +165,22 @@ class Folder:
             finished = self._read_journal() or Folder(self.path, was)._read_journal()
         except (KeyError, TypeError, ValueError, AttributeError):
             return None
-        if any(now.get(name) != own and os.path.lexists(self.path / name) for name, own in before.items()):
-            return None
         numbers = {names[0]: number for number, names in enumerate(self.files)}
-        lines = {numbers[name]: own for own in finished.values() for name in own if name in numbers}
+        lines: dict[int, dict[str, str]] = {}
+        for digests in finished.values():
+            name = next(name for name in digests if name in before or name in now)
+            if before.get(name, now.get(name)) != now.get(name):
+                return None
+            lines[numbers[name]] = digests
         return dict(sorted(lines.items()))
+
+    def _clear_unfinished(self, was: dict[str, Any], carried: dict[int, dict[str, str]]) -> None:
+        """Remove what another batch had begun: images that no line says are whole."""
+        whole = {name for digests in carried.values() for name in digests}
+        for entry in was["frames"]:
+            for name in (entry[key] for key in ("file", "png") if key in entry):
+                if name not in whole:
+                    (self.path / name).unlink(missing_ok=True)
 
     def _write_manifest(self, path: Path) -> None:
         _write_text(path, laid_out(self.manifest))
@@ -177,17 +192,17 @@ class Folder:
         except FileNotFoundError:
             return {}
         found: dict[int, dict[str, str]] = {}
+        numbers = {tuple(sorted(names)): number for number, names in enumerate(self.files)}
         for place, text in enumerate(lines):
             try:
                 entry = json.loads(text)
                 if place == 0:
-                    if entry["job"] != self.manifest["job"]:
+                    if self.manifest["job"] not in (entry["job"], entry.get("was")):
                         return {}
                     continue
-                number, digests = int(entry["frame"]), dict(entry["sha256"])
-                if sorted(digests) == sorted(self.files[number]):
-                    found[number] = digests
-            except (ValueError, KeyError, TypeError, IndexError):
+                digests = dict(entry["sha256"])
+                found[numbers[tuple(sorted(digests))]] = digests
+            except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
                 continue
         return {number: digests for number, digests in sorted(found.items()) if self._whole(digests)}
 
@@ -214,8 +229,8 @@ class Folder:
         for entry in frames if isinstance(frames, list) else []:
             names += [entry[key] for key in ("file", "png") if isinstance(entry, dict) and key in entry]
         for name in names:
-            if isinstance(name, str) and name and Path(name).name == name:  # nothing outside the folder
-                with suppress(FileNotFoundError, IsADirectoryError):
+            if name == JOURNAL or is_image(name):
+                with suppress(FileNotFoundError, IsADirectoryError, ValueError):
                     (self.path / name).unlink()
         _flush_folder(self.path)
 
@@ -277,8 +292,8 @@ def difference(was: dict[str, Any], wanted: dict[str, Any]) -> str:
     before, now = was.get("inputs"), wanted["inputs"]
     if was.get("format") != wanted["format"] or not isinstance(before, dict):
         return f"{MANIFEST}, which is none of this version's"
-    for key, value in now.items():
-        old = before.get(key)
+    for key in sorted(now, key=lambda key: key in LISTS):  # these may differ, as long as finished images stay
+        old, value = before.get(key), now[key]
         if isinstance(old, dict) and isinstance(value, dict):
             own = [name for name in value if old.get(name) != value[name]]
             if own:

@@ -91,6 +91,10 @@ def images(manifest: dict[str, Any]) -> dict[str, Any]:
     """
     made_of = manifest["inputs"]
     environments, rotations, materials, cameras = (made_of[key] for key in LISTS)
+    if not all(
+        is_image(entry[key]) for entry in manifest["frames"] for key in ("file", "png") if key in entry
+    ):
+        raise ValueError
     return {
         entry["file"]: [
             entry.get("png"), environments[own.light], rotations[own.rotation], materials[own.material],
@@ -98,6 +102,11 @@ def images(manifest: dict[str, Any]) -> dict[str, Any]:
         ]
         for entry, own in zip(manifest["frames"], _every(made_of), strict=True)
     }  # fmt: skip
+
+
+def is_image(name: Any) -> bool:
+    """Whether a file of this name may be a batch's image, in its own folder."""
+    return isinstance(name, str) and Path(name).name == name and Path(name).suffix in (".exr", ".png")
 
 
 def _every(made_of: dict[str, Any]) -> Iterator[Job]:
