@@ -352,3 +352,19 @@ def test_reading_ahead_keeps_the_order_and_its_depth() -> None:
         assert room.acquire(timeout=30)
     assert not room.acquire(timeout=0.3) and made == [0, 1, 2, 3]
     assert list(taken) == list(range(1, 100)) and threads() == []
+
+
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        ({"rotations": "90"}, "rotations: expected a list of one or more, got '90'"), ({"rotations": 90.0}, "got 90.0"),
+        ({"rotations": ["a"]}, "rotations: expected degrees"), ({"rotations": [[0, 90]]}, "expected degrees"),
+        ({"rotations": [np.nan]}, "expected degrees"), ({"materials": None}, "materials: expected a list"),
+        ({"cameras": CAMERA}, "cameras: expected a list"), ({"lights": "sky.exr"}, "lights: .* got 'sky.exr'"),
+        ({"lights": iter(())}, "lights: expected a list"), ({"level": 5}, "level: no such argument or setting"),
+    ],
+)  # fmt: skip
+def test_wrong_arguments_are_told(mesh: Mesh, sky: Environment, wrong: dict[str, Any], said: str) -> None:
+    given = {"lights": [sky], "materials": [None], "cameras": [CAMERA], **wrong}
+    with pytest.raises(InputError, match=said):
+        relight(mesh, given.pop("lights"), given.pop("materials"), given.pop("cameras"), **given)

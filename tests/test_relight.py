@@ -833,3 +833,60 @@ def test_what_is_written_aside_is_what_is_cleared(tmp_path: Path) -> None:
         assert folder_module._ASIDE.fullmatch(aside.name)
     for name in (".relight.lock", ".hidden.exr", "a.exr", f".{'0' * 31}g.exr"):
         assert not folder_module._ASIDE.fullmatch(name)
+
+
+def test_a_folder_that_is_looked_through_for_maps_is_no_output(
+    run: Run, tiny: list[str], files: Path, tmp_path: Path
+) -> None:
+    shutil.copytree(files / "skies", tmp_path / "skies")
+    rest = [*tiny[:2], *tiny[4:]]
+    for env in (tmp_path / "skies", f"{tmp_path}/skies/*.exr"):
+        ran = run(*rest, "--env", env, "-o", tmp_path / "skies")
+        assert ran.status == 2 and "where --env looks for maps" in ran.err and len(ran.err.splitlines()) == 1
+    assert len(list((tmp_path / "skies").iterdir())) == 2
+
+
+def test_an_unfinished_image_is_no_obstacle(run: Run, tiny: list[str], files: Path, tmp_path: Path) -> None:
+    """Killed between an image's name and its line, the batch may go on without that light."""
+    assert run(*tiny, "-o", tmp_path / "out").status == 0
+    journal = (tmp_path / "out" / "finished.jsonl").read_bytes().splitlines(keepends=True)
+    (tmp_path / "out" / "finished.jsonl").write_bytes(b"".join(journal[:3]))
+    blue = [*tiny[:3], str(files / "skies" / "blue.exr"), *tiny[4:]]
+    ran = run(*blue, "--json", "-o", tmp_path / "out")
+    assert ran.status == 0 and ran.events[0]["skipped"] == 2
+    assert run(*blue, "-o", tmp_path / "one").status == 0
+    assert contents(tmp_path / "out") == contents(tmp_path / "one")
+
+
+@pytest.mark.parametrize("line", ['{"frame": 1e999, "sha256": {}}', "[" * 200_000, "3", '{"sha256": 1}'])
+def test_lines_that_no_run_writes(run: Run, tiny: list[str], tmp_path: Path, line: str) -> None:
+    assert run(*tiny, "-o", tmp_path).status == 0
+    before = contents(tmp_path)
+    with (tmp_path / "finished.jsonl").open("a") as file:
+        file.write(f"{line}\n")
+    assert run(*tiny, "-o", tmp_path).status == 0 and contents(tmp_path) == before
+
+
+@pytest.mark.parametrize("name", [-1, 10**29, "\0", "\ud800.exr", "foreign.txt", "../out.exr"])
+def test_names_that_no_run_writes(run: Run, tiny: list[str], files: Path, tmp_path: Path, name: Any) -> None:
+    blue = [*tiny[:3], str(files / "skies" / "blue.exr"), *tiny[4:]]
+    output = tmp_path / "out"
+    assert run(*blue, "-o", output).status == 0
+    manifest = json.loads((output / "manifest.json").read_text())
+    manifest["frames"][0]["file"] = name
+    (output / "manifest.json").write_text(json.dumps(manifest))
+    (output / "foreign.txt").write_bytes(b"here")
+    ran = run(*tiny, "-o", output)
+    assert ran.status == 2 and "--overwrite" in ran.err and len(ran.err.splitlines()) <= 2
+    assert run(*tiny, "--overwrite", "-o", output).status == 0
+    assert (output / "foreign.txt").read_bytes() == b"here"
+
+
+def test_what_differs_is_told_first_where_it_may_not(
+    run: Run, tiny: list[str], files: Path, tmp_path: Path
+) -> None:
+    """Another light is no reason to refuse a batch; another option is."""
+    blue = [*tiny[:3], str(files / "skies" / "blue.exr"), *tiny[4:]]
+    assert run(*blue, "-o", tmp_path).status == 0
+    ran = run(*tiny, "--one-sided", "-o", tmp_path)
+    assert ran.status == 2 and "what differs is one-sided: False there, True here" in ran.err

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import os
 from collections import OrderedDict
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence, Sized
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from itertools import groupby
 from typing import Any
 
@@ -28,10 +28,13 @@ from prtcl.scene.frames_view import NOT_TAKEN, ViewEngine
 from prtcl.scene.kept_visibility import KeptVisibility
 from prtcl.scene.mesh import Mesh
 from prtcl.scene.scene import Path, read_environment
+from prtcl.transport.settings import Settings
 
 SAMPLES = 3
 """3 × 3 points a pixel: fixed, where `Scene.render` adapts, so that they are traced once for all lights."""
 FACTORIZATIONS = ("light", "view")
+SETTINGS = tuple(own.name for own in fields(Settings))
+"""What may be fixed by hand."""
 READ_AHEAD = 2
 KEPT = 512 << 20
 """Bytes of environments that are kept from one view to the next."""
@@ -148,14 +151,18 @@ def relight(
     """
     if points not in ("pixel", "vertex"):
         raise InputError(f"points: expected pixel or vertex, got {points!r}")
-    if samples is not None and (not isinstance(samples, int) or not 1 <= samples <= 64):
+    if samples is not None and (not isinstance(samples, int | np.integer) or not 1 <= samples <= 64):
         raise InputError(f"samples: expected 1 to 64 points along a pixel's side, got {samples}")
-    if isinstance(lights, Environment | str | os.PathLike | np.ndarray) or not len(lights):
-        raise InputError("lights: expected a list of one or more")
-    if isinstance(materials, str | Material) or not len(materials):
-        raise InputError("materials: expected a list of one or more")
-    if not len(rotations) or not np.isfinite(np.asarray(rotations, dtype=np.float64)).all():
-        raise InputError(f"rotations: expected degrees, one or more, got {rotations}")
+    _check_list("lights", lights, Sources)
+    _check_list("materials", materials)
+    if cameras is not None:
+        _check_list("cameras", cameras)
+    _check_list("rotations", rotations, np.ndarray)
+    if not all(isinstance(own, int | float | np.number) and np.isfinite(own) for own in rotations):
+        raise InputError(f"rotations: expected degrees, got {rotations}")
+    unknown = sorted(settings.keys() - SETTINGS)
+    if unknown:
+        raise InputError(f"{unknown[0]}: no such argument or setting; expected one of {', '.join(SETTINGS)}")
     mesh, bake = read_mesh_or_bake(mesh)
     if kept is not None and bake is not None:
         raise InputError("kept: a bake holds its visibility already; leave it out, or give the mesh")
@@ -170,6 +177,18 @@ def relight(
         )  # fmt: skip
     sources = lights if isinstance(lights, Sources) else Sources(lights, up, repair, note)
     return _frames(engine, sources, seen, list(map(float, rotations)), list(materials), wanted)
+
+
+def _check_list(name: str, given: Any, *also: type[Sized]) -> None:
+    """Refuse one thing where several are expected, and none."""
+    several = not isinstance(given, str) and isinstance(given, (Sequence, *also))
+    if not several or not len(given):
+        raise InputError(f"{name}: expected a list of one or more, got {_short(given)}")
+
+
+def _short(value: Any) -> str:
+    text = repr(value) if isinstance(value, str | int | float | list | tuple) else type(value).__name__
+    return text if len(text) < 60 else type(value).__name__
 
 
 def engine_for(

@@ -150,9 +150,17 @@ def read(
     choice = Choice(options.factorization, "asked for")
     if choice.factorization == "auto":
         before = chosen_before(Path(options.output), made_by)
-        choice = before or choose(
-            options, device, mesh, lights, rotations, materials, views, points, samples, settings, kept
-        )
+        if before is None:
+            choice = choose(
+                options, device, mesh, lights, rotations, materials, views, points, samples, settings, kept
+            )
+        else:
+            choice, then = before
+            if choice.factorization == "light" and then < MANY <= len(lights) * len(rotations):
+                notes = [
+                    *notes, f"{options.output} was begun with {then} lights, one by one, and goes on so\n"
+                    "for many lights another folder (-o) may take less time: the order that suits them is tried there",
+                ]  # fmt: skip
     factorization = choice.factorization
     made_of = made_by(factorization)
     manifest = manifest_of(made_of, lights, expected)
@@ -167,14 +175,17 @@ MANY = 10
 """Lights from which it is worth trying both factorizations."""
 
 
-def chosen_before(output: Path, made_by: Callable[[str], dict[str, Any]]) -> Choice | None:
-    """What a run of this job that was interrupted chose, or of the same job with fewer lights: time is no input."""
+def chosen_before(output: Path, made_by: Callable[[str], dict[str, Any]]) -> tuple[Choice, int] | None:
+    """What a run of this job that was interrupted chose, or of the same job with other lights, and of how many.
+
+    Time is no input.
+    """
     try:
         was = json.loads((output / folder.MANIFEST).read_bytes())["inputs"]
         chosen = was["factorization"]
         if chosen in FACTORIZATIONS and common(made_by(chosen)) == common(was):
             lights = len(was["environments"]) * len(was["rotations"])
-            return Choice(chosen, f"as the run before, of {lights} lights")
+            return Choice(chosen, f"as the run before, of {lights} lights"), lights
     except (OSError, ValueError, RecursionError, KeyError, TypeError, AttributeError):
         pass
     return None

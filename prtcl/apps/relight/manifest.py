@@ -106,7 +106,9 @@ def images(manifest: dict[str, Any]) -> dict[str, Any]:
 
 def is_image(name: Any) -> bool:
     """Whether a file of this name may be a batch's image, in its own folder."""
-    return isinstance(name, str) and Path(name).name == name and Path(name).suffix in (".exr", ".png")
+    if not isinstance(name, str) or not name.isascii() or not name.isprintable():
+        return False
+    return Path(name).name == name and Path(name).suffix in (".exr", ".png")
 
 
 def _every(made_of: dict[str, Any]) -> Iterator[Job]:
