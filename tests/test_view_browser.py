@@ -217,8 +217,7 @@ def test_undo_gives_the_picture_back(tab: Tab) -> None:
     assert tab.until(lambda: changed(tab.picture(), first) > 1.0)
     tab.page.get_by_role("button", name="Undo").click()
     tab.rest()
-    # Refined or not by a step more or less; copper differs by a hundred times as much.
-    assert tab.until(lambda: changed(tab.picture(), first) < 0.5)
+    assert tab.until(lambda: changed(tab.picture(), first) < 0.01)
 
 
 def test_a_material_is_edited_as_a_table(tab: Tab) -> None:
