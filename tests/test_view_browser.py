@@ -104,7 +104,9 @@ class Tab:
         self.wrong: list[str] = []
         self.page.on("console", lambda m: self.wrong.append(m.text) if m.type == "error" else None)
         self.page.on("pageerror", lambda error: self.wrong.append(str(error)))
-        self.page.goto(url)
+        # viser draws on fewer pixels where frames come slowly, as they do without a GPU: pictures are then scaled down
+        # and up again, at times of its choosing.
+        self.page.goto(f"{url}/?fixedDpr=1")
         self.rest()
 
     def rest(self) -> None:
@@ -190,19 +192,15 @@ def test_controls_change_the_picture(tab: Tab) -> None:
     gold = tab.picture()
     thumb = tab.slider("Roughness")
     was = float(thumb.get_attribute("aria-valuenow"))
-    thumb.focus()
-    for _ in range(40):
-        tab.page.keyboard.press("ArrowRight")
+    tab.drag("Roughness", 60)
     tab.rest()
     assert float(thumb.get_attribute("aria-valuenow")) > was + 0.1
     assert tab.until(lambda: changed(tab.picture(), gold) > 0.5)
-    for name, least in (("Rotation", 0.5), ("Exposure", 0.5)):
+    for name, pixels in (("Rotation", 60), ("Exposure", 10)):
         before = tab.picture()
-        tab.slider(name).focus()
-        for _ in range(40):
-            tab.page.keyboard.press("ArrowRight")
+        tab.drag(name, pixels)
         tab.rest()
-        assert tab.until(lambda before=before, least=least: changed(tab.picture(), before) > least), name
+        assert tab.until(lambda before=before: changed(tab.picture(), before) > 0.5), name
     before = tab.picture()
     tab.pick("Environment", "noon")
     tab.rest()
@@ -210,7 +208,6 @@ def test_controls_change_the_picture(tab: Tab) -> None:
 
 
 def test_undo_gives_the_picture_back(tab: Tab) -> None:
-    tab.page.wait_for_timeout(3000)  # a slow machine may draw the refined picture later than it tells
     first = tab.picture()
     tab.pick("Preset", "copper")
     tab.rest()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import io
 import socket
+import warnings
 from collections.abc import Iterator
 from typing import Any
 from urllib.parse import urlsplit
@@ -40,6 +41,8 @@ def start(host: str, port: int, eye: Camera, vertical: float) -> Any:
             return None
 
     require_free(host, port)
+    # A page may go while its picture is made: no news for the terminal.
+    warnings.filterwarnings("ignore", "Queued a .* on a closed connection", UserWarning)
     with _silenced():
         server = Server(host, port, label="prtcl", verbose=False)
     if port and server.get_port() != port:  # viser takes the next one that is free
