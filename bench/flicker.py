@@ -45,7 +45,7 @@ from prtcl.factors.material import Material
 from prtcl.factors.sky import sun_sky
 from prtcl.factors.visibility import Tracer, in_parallel
 from prtcl.scene.camera import Camera
-from prtcl.scene.frames import engine_of
+from prtcl.scene.factorization import engine_of
 from prtcl.scene.frames_looks import Looks
 from prtcl.scene.points import pixel_points, shoot
 from prtcl.scene.scene import read_environment

@@ -39,7 +39,7 @@ from prtcl.errors import InputError, PrtclError
 from prtcl.factors.environment import Environment
 from prtcl.factors.material import anchored
 from prtcl.files.image import write_exr
-from prtcl.scene.frames import engine_for
+from prtcl.scene.factorization import engine_for
 from prtcl.scene.mesh import Mesh
 from prtcl.scene.shaders import Counter
 

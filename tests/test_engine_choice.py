@@ -15,7 +15,8 @@ from prtcl.factors.visibility import Tracer
 from prtcl.scene import engine_choice
 from prtcl.scene.camera import Camera
 from prtcl.scene.engine_choice import Cost, choose_engine, decide
-from prtcl.scene.frames import FACTORIZATIONS, relight
+from prtcl.scene.factorization import FACTORIZATIONS
+from prtcl.scene.frames import relight
 from prtcl.scene.frames_engine import Simple
 from prtcl.scene.frames_looks import Looks
 from prtcl.scene.frames_view import ViewEngine

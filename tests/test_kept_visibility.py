@@ -27,7 +27,8 @@ from prtcl.files.image import read_image, write_exr
 from prtcl.scene import kept_visibility
 from prtcl.scene.bake import Bake
 from prtcl.scene.camera import Camera
-from prtcl.scene.frames import FACTORIZATIONS, relight
+from prtcl.scene.factorization import FACTORIZATIONS
+from prtcl.scene.frames import relight
 from prtcl.scene.kept_visibility import KeptVisibility, key_of, open_store
 from prtcl.scene.mesh import Mesh
 

@@ -17,7 +17,7 @@ from prtcl.compute.device import Device
 from prtcl.factors.environment import Environment
 from prtcl.factors.visibility import Tracer
 from prtcl.scene.camera import Camera
-from prtcl.scene.frames import engine_of
+from prtcl.scene.factorization import engine_of
 from prtcl.scene.frames_engine import Engine
 from prtcl.scene.frames_looks import Looks
 from prtcl.scene.frames_view import together
@@ -83,7 +83,7 @@ def choose_engine(
     ----------
     looks : of the job; `prtcl.scene.frames_view.serves` them
     environments : all of the job; the first few are tried
-    samples, two_sided, hard, kept : as `prtcl.scene.frames.engine_of` takes them
+    samples, two_sided, hard, kept : as `prtcl.scene.factorization.engine_of` takes them
 
     Raises
     ------

@@ -13,9 +13,9 @@ from typing import Any
 
 from prtcl._version import __version__
 from prtcl.apps.bake_options import read_bake
-from prtcl.apps.relight import folder, inputs, names
+from prtcl.apps.relight import inputs, names
 from prtcl.apps.relight.checks import check_options, refuse_inputs
-from prtcl.apps.relight.manifest import common, manifest_of
+from prtcl.apps.relight.manifest import MANIFEST, common, manifest_of
 from prtcl.compute import tuning
 from prtcl.compute.device import Device
 from prtcl.factors.material import Material
@@ -23,13 +23,13 @@ from prtcl.scene.bake import Bake, is_bake
 from prtcl.scene.camera import Camera, Triple
 from prtcl.scene.camera_path import View, read_views, turntable
 from prtcl.scene.engine_choice import BATCH, Choice, choose_engine
-from prtcl.scene.frames import FACTORIZATIONS, SAMPLES, engine_for
+from prtcl.scene.factorization import FACTORIZATIONS, SAMPLES, engine_for
 from prtcl.scene.frames_engine import Engine, with_rotation
 from prtcl.scene.frames_looks import Looks
 from prtcl.scene.frames_view import NOT_TAKEN, serves
 from prtcl.scene.kept_visibility import KeptVisibility
 from prtcl.scene.mesh import Mesh, read_mesh
-from prtcl.scene.plan_frames import plan_frames
+from prtcl.scene.plan_frames import FramesPlan, plan_frames
 from prtcl.scene.scene import Scene, read_environment
 from prtcl.scene.view_points import SIDE
 
@@ -105,19 +105,11 @@ def read(
         "levels": options.levels, "rays": options.rays, "keep": options.keep, "views": options.views,
         "method": options.method, "hard": options.hard_light, "visibility": options.visibility,
     }  # fmt: skip
-    samples = options.samples
-    expected: dict[str, Any] = {}
+    samples, expected = options.samples, {}
     if options.error is not None:
-        light, _ = read_environment(lights[0], rotate=rotations[0], up=options.env_up, repair=options.repair)
-        scenes = [
-            Scene(
-                mesh, light, own, views[0].camera, device=device, two_sided=not options.one_sided, **settings
-            )
-            for own in materials
-        ]
-        plan = plan_frames(scenes, options.error)
-        expected = {"error": {"asked": plan.asked, "predicted": plan.predicted}}
+        plan = planned(options, device, mesh, lights[0], rotations[0], materials, views[0], settings)
         settings["rays"], samples = plan.rays, plan.samples
+        expected = {"error": {"asked": plan.asked, "predicted": plan.predicted}}
         notes = [
             *notes,
             f"{samples} x {samples} points a pixel, 4^{plan.rays} rays: images are expected to err by "
@@ -171,6 +163,19 @@ def read(
     )  # fmt: skip
 
 
+def planned(
+    options: argparse.Namespace, device: Device, mesh: Mesh, light: Path, rotation: float,
+    materials: list[Material | None], view: View, settings: dict[str, Any],
+) -> FramesPlan:  # fmt: skip
+    """Rays and points for --error, found under one light from one view."""
+    environment, _ = read_environment(light, rotate=rotation, up=options.env_up, repair=options.repair)
+    scenes = [
+        Scene(mesh, environment, own, view.camera, device=device, two_sided=not options.one_sided, **settings)
+        for own in materials
+    ]
+    return plan_frames(scenes, options.error)
+
+
 MANY = 10
 """Lights from which it is worth trying both factorizations."""
 
@@ -181,7 +186,7 @@ def chosen_before(output: Path, made_by: Callable[[str], dict[str, Any]]) -> tup
     Time is no input.
     """
     try:
-        was = json.loads((output / folder.MANIFEST).read_bytes())["inputs"]
+        was = json.loads((output / MANIFEST).read_bytes())["inputs"]
         chosen = was["factorization"]
         if chosen in FACTORIZATIONS and common(made_by(chosen)) == common(was):
             lights = len(was["environments"]) * len(was["rotations"])

@@ -27,8 +27,9 @@ import numpy.typing as npt
 
 from prtcl.apps.cluster import Workers, kept
 from prtcl.apps.relight import batch
-from prtcl.apps.relight.folder import Folder, difference
+from prtcl.apps.relight.folder import Folder
 from prtcl.apps.relight.images import SECONDS, make_images
+from prtcl.apps.relight.manifest import difference
 from prtcl.apps.relight.shared import Shared
 from prtcl.compute import choice
 from prtcl.compute.device import Device

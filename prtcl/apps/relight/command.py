@@ -13,8 +13,9 @@ from prtcl.apps.cluster import Workers, connected
 from prtcl.apps.progress import bar
 from prtcl.apps.relight import batch, cluster
 from prtcl.apps.relight.checks import check_inputs
-from prtcl.apps.relight.folder import MANIFEST, Folder, opened
+from prtcl.apps.relight.folder import Folder, opened
 from prtcl.apps.relight.images import SECONDS, make_images
+from prtcl.apps.relight.manifest import MANIFEST
 from prtcl.compute.device import Device
 from prtcl.factors.visibility import Tracer
 from prtcl.scene.bake import read_mesh_or_bake

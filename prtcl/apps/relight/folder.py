@@ -18,15 +18,24 @@ from typing import Any
 
 from prtcl.apps.relight.inputs import file_digest
 from prtcl.apps.relight.lock import locked, unchanged
-from prtcl.apps.relight.manifest import FORMAT, LISTS, common, images, is_image
+from prtcl.apps.relight.manifest import (
+    FORMAT,
+    MANIFEST,
+    alike,
+    common,
+    difference,
+    images,
+    is_image,
+    laid_out,
+)
 from prtcl.errors import InputError, PrtclError
 from prtcl.files.atomic import made_folder, replacing
 
-MANIFEST, JOURNAL = "manifest.json", "finished.jsonl"
+JOURNAL = "finished.jsonl"
 _ASIDE = re.compile(r"\.[0-9a-f]{32}(\.[0-9a-z]+)?")
 """Files written aside by a run that was killed (`prtcl.files.atomic.replacing`)."""
 
-Write = Callable[[Path], None]
+Write = Callable[[Path], object]
 
 
 class Folder:
@@ -63,7 +72,7 @@ class Folder:
         with _writing(self.path), unchanged(self.path / MANIFEST, alone=True):
             self._sweep()
             was = self._read_manifest()
-            if was is not None and _without_paths(was) == _without_paths(self.manifest):
+            if was is not None and alike(was, self.manifest):
                 self._lines = self._read_journal()
                 self._rewrite()
                 return
@@ -77,14 +86,14 @@ class Folder:
                 self._refuse_strangers(set() if was is None else images(was).keys())
             if carried is None:
                 self._clear(was or {})
-                self.write(MANIFEST, self._write_manifest)
+                self._write_manifest()
                 self._rewrite()
             else:
                 self._clear_unfinished(was or {}, carried)
                 # Should this process end in between, the journal says to both jobs what is finished.
                 self._lines = carried
                 self._rewrite((was or {}).get("job"))
-                self.write(MANIFEST, self._write_manifest)
+                self._write_manifest()
                 self._rewrite()
 
     def record(self, number: int, digests: dict[str, str]) -> None:
@@ -144,7 +153,7 @@ class Folder:
         self._lines = dict(sorted(self._lines.items()))
         lines = [_line({"job": self.manifest["job"], **({} if was is None else {"was": was})})]
         lines += [_line({"frame": number, "sha256": digests}) for number, digests in self._lines.items()]
-        self.write(JOURNAL, lambda path: _write_text(path, b"".join(lines).decode()))
+        self.write(JOURNAL, lambda path: path.write_bytes(b"".join(lines)))
 
     def _read_manifest(self) -> dict[str, Any] | None:
         """What is there; empty where it is no manifest of ours, None where there is none."""
@@ -182,8 +191,9 @@ class Folder:
                 if name not in whole:
                     (self.path / name).unlink(missing_ok=True)
 
-    def _write_manifest(self, path: Path) -> None:
-        _write_text(path, laid_out(self.manifest))
+    def _write_manifest(self) -> None:
+        text = laid_out(self.manifest)
+        self.write(MANIFEST, lambda path: path.write_bytes(text.encode()))
 
     def _read_journal(self) -> dict[int, dict[str, str]]:
         """Lines of images whose files are what the line says; a last line that was cut off counts as none."""
@@ -287,56 +297,8 @@ def _failed(what: Path, error: BaseException) -> PrtclError:
     )
 
 
-def difference(was: dict[str, Any], wanted: dict[str, Any]) -> str:
-    """The first thing in which two manifests differ, in words."""
-    before, now = was.get("inputs"), wanted["inputs"]
-    if was.get("format") != wanted["format"] or not isinstance(before, dict):
-        return f"{MANIFEST}, which is none of this version's"
-    for key in sorted(now, key=lambda key: key in LISTS):  # these may differ, as long as finished images stay
-        old, value = before.get(key), now[key]
-        if isinstance(old, dict) and isinstance(value, dict):
-            own = [name for name in value if old.get(name) != value[name]]
-            if own:
-                return f"{key}: {own[0]} {old.get(own[0])} there, {value[own[0]]} here"
-        elif old != value:
-            simple = all(own is None or isinstance(own, str | int | float | bool) for own in (old, value))
-            short = simple and len(f"{old}{value}") < 200
-            return f"{key}: {old} there, {value} here" if short else key
-    return "the images' names"
-
-
-def _without_paths(manifest: dict[str, Any]) -> dict[str, Any]:
-    """All but the environments' paths: from another folder they are others, to the same files."""
-    lights = manifest.get("environments")
-    if not isinstance(lights, list):
-        return manifest
-    return {
-        **manifest,
-        "environments": [
-            {key: value for key, value in own.items() if key != "file"} if isinstance(own, dict) else own
-            for own in lights
-        ],
-    }
-
-
-def laid_out(manifest: dict[str, Any]) -> str:
-    """A manifest as text: one line for each entry of its lists."""
-    blocks = []
-    for key, value in manifest.items():
-        if isinstance(value, list):
-            text = "[\n" + ",\n".join(f"  {json.dumps(entry)}" for entry in value) + "\n ]"
-        else:
-            text = json.dumps(value)
-        blocks.append(f" {json.dumps(key)}: {text}")
-    return "{\n" + ",\n".join(blocks) + "\n}\n"
-
-
 def _line(entry: dict[str, Any]) -> bytes:
     return json.dumps(entry).encode() + b"\n"
-
-
-def _write_text(path: Path, text: str) -> None:
-    path.write_bytes(text.encode())
 
 
 def _flushed(path: Path) -> str:

@@ -1,4 +1,4 @@
-"""What a batch is made of, what its folder is to hold, and which images of one batch are another's.
+"""What a batch is made of, what its folder is to hold; in what two batches differ, and which images they share.
 
 Images are one another's under the same light, in the same material, from the same view, where all else is the same. So
 a batch may grow: with more environments, rotations, materials or views, what is finished stays and the rest is made. It
@@ -7,6 +7,7 @@ may shrink by what is not finished, a map that cannot be read for one.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,7 @@ from prtcl.apps.relight.inputs import as_json
 from prtcl.files.digest import json_sha256
 from prtcl.scene.frames import Job, jobs
 
+MANIFEST = "manifest.json"
 FORMAT = 1
 LISTS = ("environments", "rotations", "materials", "cameras")
 """Inputs of which an image has one each."""
@@ -111,6 +113,55 @@ def is_image(name: Any) -> bool:
     return Path(name).name == name and Path(name).suffix in (".exr", ".png")
 
 
+def difference(was: dict[str, Any], wanted: dict[str, Any]) -> str:
+    """The first thing in which two manifests differ, in words."""
+    before, now = was.get("inputs"), wanted["inputs"]
+    if was.get("format") != wanted["format"] or not isinstance(before, dict):
+        return f"{MANIFEST}, which is none of this version's"
+    for key in sorted(now, key=lambda key: key in LISTS):  # these may differ, as long as finished images stay
+        old, value = before.get(key), now[key]
+        if isinstance(old, dict) and isinstance(value, dict):
+            own = [name for name in value if old.get(name) != value[name]]
+            if own:
+                return f"{key}: {own[0]} {old.get(own[0])} there, {value[own[0]]} here"
+        elif old != value:
+            simple = all(own is None or isinstance(own, str | int | float | bool) for own in (old, value))
+            short = simple and len(f"{old}{value}") < 200
+            return f"{key}: {old} there, {value} here" if short else key
+    return "the images' names"
+
+
+def alike(a: dict[str, Any], b: dict[str, Any]) -> bool:
+    """Whether two manifests are of one batch; its environments may lie in another folder."""
+    return _without_paths(a) == _without_paths(b)
+
+
+def laid_out(manifest: dict[str, Any]) -> str:
+    """A manifest as text: one line for each entry of its lists."""
+    blocks = []
+    for key, value in manifest.items():
+        if isinstance(value, list):
+            text = "[\n" + ",\n".join(f"  {json.dumps(entry)}" for entry in value) + "\n ]"
+        else:
+            text = json.dumps(value)
+        blocks.append(f" {json.dumps(key)}: {text}")
+    return "{\n" + ",\n".join(blocks) + "\n}\n"
+
+
 def _every(made_of: dict[str, Any]) -> Iterator[Job]:
     environments, rotations, materials, cameras = (len(made_of[key]) for key in LISTS)
     return jobs(cameras, environments, rotations, materials)
+
+
+def _without_paths(manifest: dict[str, Any]) -> dict[str, Any]:
+    """All but the environments' paths: from another folder they are others, to the same files."""
+    lights = manifest.get("environments")
+    if not isinstance(lights, list):
+        return manifest
+    return {
+        **manifest,
+        "environments": [
+            {key: value for key, value in own.items() if key != "file"} if isinstance(own, dict) else own
+            for own in lights
+        ],
+    }

@@ -10,8 +10,9 @@ from pathlib import Path
 from typing import Any
 
 from prtcl.apps.cluster import over
-from prtcl.apps.relight.folder import MANIFEST, Failed, Folder
+from prtcl.apps.relight.folder import Failed, Folder
 from prtcl.apps.relight.lock import unchanged
+from prtcl.apps.relight.manifest import MANIFEST
 
 
 class Shared(Folder):
@@ -44,7 +45,7 @@ class Shared(Folder):
             If it is not, or the folder is not there at all.
         """
         with unchanged(self.path / MANIFEST, alone=False) as file:
-            # The fingerprint stands in one of the first lines (`prtcl.apps.relight.folder.laid_out`).
+            # The fingerprint stands in one of the first lines (`prtcl.apps.relight.manifest.laid_out`).
             if file is None or json.dumps(self.manifest["job"]).encode() not in os.pread(file, 4096, 0):
                 raise Failed(
                     f"{self.path}: {MANIFEST} there is not this job's\n"
