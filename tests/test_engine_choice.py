@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from prtcl.compute import host
 from prtcl.compute.device import Device
 from prtcl.errors import InputError
 from prtcl.factors.environment import Environment
@@ -15,7 +17,7 @@ from prtcl.factors.visibility import Tracer
 from prtcl.scene import engine_choice
 from prtcl.scene.camera import Camera
 from prtcl.scene.engine_choice import Cost, choose_engine, decide
-from prtcl.scene.factorization import FACTORIZATIONS
+from prtcl.scene.factorization import FACTORIZATIONS, engine_for
 from prtcl.scene.frames import relight
 from prtcl.scene.frames_engine import Simple
 from prtcl.scene.frames_looks import Looks
@@ -63,7 +65,11 @@ def test_the_job_goes_on_with_what_was_tried(
     assert choice.factorization == cheap
     assert isinstance(choice.engine, Simple if cheap == "light" else ViewEngine)
     assert "3 environments × 2 materials" in choice.reason and "tried on 40 pixels" in choice.reason
-    assert costs["light"].once > 0 and costs["light"].each > 0 and costs["light"].apart == 0
+    assert (
+        costs["light"].once > 0
+        and costs["light"].each >= 0
+        and costs["light"].each + costs["light"].apart > 0
+    )
     assert costs["view"].once > 0 and costs["view"].apart > 0
     arguments: tuple[Any, ...] = (mesh, lights[:2], MATERIALS, [CAMERA])
     going_on = relight(*arguments, engine=choice.engine)
@@ -110,3 +116,48 @@ def test_a_view_of_nothing_is_refused(device: Device, mesh: Mesh, sky: Environme
     away = replace(CAMERA, target=(10.0, 2.5, 5.4))
     with pytest.raises(InputError, match="sees nothing"):
         choose_engine(mesh, Looks(MATERIALS, mesh), device, away, [sky])
+
+
+@pytest.mark.parametrize("factorization", FACTORIZATIONS)
+def test_a_view_that_memory_does_not_hold_is_refused(
+    device: Device, mesh: Mesh, sky: Environment, monkeypatch: pytest.MonkeyPatch, factorization: str
+) -> None:
+    """Before anything is traced; by the pixels that see the mesh, not by all."""
+    fixed = {"rays": 4} if factorization == "light" else {}
+    engine = engine_for(mesh, MATERIALS, device, factorization=factorization, **fixed)
+    engine.check(CAMERA)
+    pixels = len(seeing_pixels(engine.tracer, CAMERA))
+    # 9 points of 200 bytes and 4^4 bits each; or 64 of 200 bytes, and 2 · 4^6 bits for all.
+    each = 9 * (200 + 32) if factorization == "light" else 64 * 200 + 1024
+    assert pixels < 24 * 18
+    monkeypatch.setattr(host, "memory", lambda: pixels * each)
+    engine.check(CAMERA)
+    monkeypatch.setattr(host, "memory", lambda: pixels * each - 1)
+    with pytest.raises(InputError, match=f"{pixels} pixels see the mesh.*GiB"):
+        engine.check(CAMERA)
+    device.profile.reset()
+    with pytest.raises(InputError, match="smaller --size"):
+        next(relight(mesh, [sky], MATERIALS, [CAMERA], factorization=factorization, device=device, **fixed))
+    assert "visibility_rays" not in device.profile.host_seconds()
+
+
+def test_what_memory_does_not_hold_is_not_chosen(
+    device: Device, mesh: Mesh, sky: Environment, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pixels = len(seeing_pixels(Tracer(mesh.vertices, mesh.faces), CAMERA))
+    monkeypatch.setattr(host, "memory", lambda: pixels * 10_000)
+    choice = choose_engine(mesh, Looks(MATERIALS, mesh, **COARSE), device, CAMERA, [sky] * 1000)
+    assert choice.factorization == "light" and "memory" in choice.reason
+    assert isinstance(choice.engine, Simple)
+
+
+@pytest.mark.parametrize(("limit", "least"), [("4096\n", 4096), ("max\n", 1 << 20), (None, 1 << 20)])
+def test_a_container_may_have_less_memory_than_its_machine(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, limit: str | None, least: int
+) -> None:
+    path = tmp_path / "memory.max"
+    if limit is not None:
+        path.write_text(limit)
+    monkeypatch.setattr(host, "LIMITS", (path,))
+    found = host.memory()
+    assert found is not None and (found == least if limit == "4096\n" else found > least)

@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from prtcl.compute.device import Device
+from prtcl.errors import InputError
 from prtcl.factors.environment import Environment
 from prtcl.factors.visibility import Tracer
 from prtcl.scene.camera import Camera
@@ -27,6 +28,8 @@ from prtcl.scene.points import check_eye, seeing_pixels
 
 SAMPLE = 256
 """Pixels of a trial, evenly taken from all that see the mesh."""
+FEWER = 4
+"""Of how many of these one is taken for the second trial of L ⊕ V."""
 BATCH = 16
 """Environments of the second trial of V ⊕ f_v; the first has one."""
 APART = "resample_light"
@@ -107,6 +110,10 @@ def choose_engine(
         )
         for name in ("light", "view")
     }  # fmt: skip
+    try:
+        engines["view"].check(camera)
+    except InputError:
+        return Choice("light", "V ⊕ f_v needs more memory than there is", engines["light"])
     number = len(looks.full)
     costs = (
         light_cost(engines["light"], camera, tried, environments[0], number),
@@ -146,10 +153,16 @@ def decide(
 def light_cost(
     engine: Engine, camera: Camera, pixels: npt.NDArray[np.int64], environment: Environment, looks: int
 ) -> Cost:
-    """Seconds of L ⊕ V for some pixels."""
+    """Seconds of L ⊕ V for some pixels; a quarter of them tells what a light costs whatever the pixels."""
+    few = pixels[:: min(FEWER, len(pixels))]
     once = _timed(lambda: engine.prepare(camera, pixels))
     _draw(engine, [environment], looks)  # compiles kernels and makes the slices
-    return Cost(once, _timed(lambda: _draw(engine, [environment], looks)))
+    many = min(_timed(lambda: _draw(engine, [environment], looks)) for _ in range(2))
+    engine.prepare(camera, few)
+    less = min(_timed(lambda: _draw(engine, [environment], looks)) for _ in range(2))
+    a_pixel = max(0.0, many - less) / max(1, len(pixels) - len(few))
+    each = min(many, a_pixel * len(pixels))
+    return Cost(once, each, apart=many - each)
 
 
 def view_cost(

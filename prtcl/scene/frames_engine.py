@@ -14,6 +14,7 @@ from typing import Any, Protocol
 import numpy as np
 import numpy.typing as npt
 
+from prtcl import quadtree
 from prtcl.compute.chunks import cache_bytes, chunk_size, chunks
 from prtcl.compute.device import Device
 from prtcl.factors.environment import Environment, Light
@@ -22,9 +23,10 @@ from prtcl.factors.stored import SliceStore
 from prtcl.factors.visibility import Tracer
 from prtcl.scene.camera import Camera
 from prtcl.scene.frames_looks import Looks
-from prtcl.scene.frames_points import Sight, see
+from prtcl.scene.frames_points import Sight, check_memory, see
 from prtcl.scene.kept_visibility import KeptVisibility
 from prtcl.scene.mesh import Mesh
+from prtcl.scene.points import check_eye
 from prtcl.transport import collapse, shade
 from prtcl.transport.pipeline import HARD_CHUNK, Points, in_unit
 from prtcl.transport.settings import Settings
@@ -34,6 +36,8 @@ Wanted = tuple[Environment, Sequence[int]]
 """A light, and the numbers of the materials whose images under it are wanted."""
 RADIANCE = 1 << 30
 """Host bytes that the radiance of several materials may take together; for more of them a light is collapsed again."""
+POINT_BYTES, HIT_BYTES = 200, 40
+"""Host bytes of a sub-pixel point beside its visibility, and of one that only says which vertices it lies between."""
 BUSY = ("camera_rays", "visibility_rays", "hard_light_rays")
 """Host stages that count as work of the machine's, as kernels do: rays."""
 
@@ -47,6 +51,9 @@ class Engine(Protocol):
 
     tracer: Tracer
     """Of the mesh."""
+
+    def check(self, camera: Camera) -> None:
+        """Refuse a view that shows nothing of the mesh, stands inside it, or takes more memory than there is."""
 
     def ahead(self, environment: Environment) -> None:
         """Do what can be done for a light on another thread, before its turn comes."""
@@ -100,7 +107,7 @@ class Simple:
     """Points and visibility of a view are traced once; each light is collapsed with it once, for all materials.
 
     Costs a light one L ⊕ V at every point, then one inner product a material. Host memory: of every sub-pixel point
-    some 200 bytes, and 4**rays bits.
+    `POINT_BYTES`, about, and 4**rays bits.
 
     Parameters
     ----------
@@ -143,6 +150,18 @@ class Simple:
         """Where kernels run."""
         return self._device
 
+    def check(self, camera: Camera) -> None:
+        """As `Engine.check`."""
+        check_eye(self.tracer, self.mesh, camera)
+        self._check_memory(camera)
+
+    def _check_memory(self, camera: Camera) -> None:
+        each = float(HIT_BYTES)
+        if self.points == "pixel" and self.bits is None:
+            rays = {(own.rays, own.visibility) for own in self.looks.settings}
+            each = POINT_BYTES + sum(quadtree.n_samples(levels) / 8 for levels, _ in rays)
+        check_memory(self.tracer, camera, self.samples**2 * each)
+
     def ahead(self, environment: Environment) -> None:
         """Take the light apart."""
         scaled, unit = in_unit(environment)
@@ -161,6 +180,8 @@ class Simple:
         traced : bits (points, words) by levels and --visibility; none where a bake has them
         """
         profile, self._sight, self._seen = self.device.profile, None, dict(traced or {})
+        if pixels is None:
+            self._check_memory(camera)
         with profile.host("camera_rays"):
             vertex = self.points == "vertex" or self.bits is not None
             sight = see(

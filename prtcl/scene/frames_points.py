@@ -7,10 +7,12 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
+from prtcl.compute import host
+from prtcl.errors import InputError
 from prtcl.factors.visibility import Tracer
 from prtcl.scene.camera import Camera
 from prtcl.scene.mesh import Mesh
-from prtcl.scene.points import check_eye, pixel_points, shoot, vertex_points, with_eye
+from prtcl.scene.points import check_eye, pixel_points, seeing_pixels, shoot, vertex_points, with_eye
 from prtcl.transport.pipeline import Points
 
 BATCH = 1 << 17
@@ -124,13 +126,32 @@ def see(
     return Sight(size, each, np.concatenate(pixel), faces, np.concatenate(barycentric), whole, vertices)
 
 
+def check_memory(tracer: Tracer, camera: Camera, each: float) -> None:
+    """Refuse a view that takes more of the host's memory than there is.
+
+    Parameters
+    ----------
+    each : bytes for a pixel that sees the mesh
+
+    Raises
+    ------
+    InputError
+        Saying how much it would take.
+    """
+    room = host.memory()
+    if room is None or each * camera.size[0] * camera.size[1] <= room:
+        return
+    pixels = len(seeing_pixels(tracer, camera))
+    if each * pixels > room:
+        raise InputError(
+            f"{pixels} pixels see the mesh, and what is kept of them takes about {each * pixels / 2**30:.3g} GiB of "
+            f"this machine's {room / 2**30:.3g}\nask for a smaller --size, fewer --samples or fewer --rays"
+        )
+
+
 def _joined(parts: list[Points]) -> Points:
-    """Points one after another."""
-    return Points(
-        origins=np.concatenate([part.origins for part in parts]),
-        frames=np.concatenate([part.frames for part in parts]),
-        views=np.concatenate([part.views for part in parts]),
-        material=np.concatenate([part.material for part in parts]),
-        grid=np.concatenate([part.grid for part in parts]),
-        polar=True,
-    )
+    """Points one after another; the parts are given up."""
+    names = ("origins", "frames", "views", "material", "grid")
+    fields = {name: [getattr(part, name) for part in parts] for name in names}
+    parts.clear()  # so that no field is there twice but the one that is joined
+    return Points(**{name: np.concatenate(fields.pop(name)) for name in names}, polar=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from functools import partial
 from itertools import islice
 
@@ -11,18 +12,23 @@ import numpy.typing as npt
 
 from prtcl.compute.device import Device
 from prtcl.errors import InputError
+from prtcl.factors import sphere
 from prtcl.factors.environment import Environment
 from prtcl.factors.visibility import Tracer
 from prtcl.scene.camera import Camera
 from prtcl.scene.frames_engine import RADIANCE, Image, Wanted
 from prtcl.scene.frames_looks import Looks
+from prtcl.scene.frames_points import check_memory
 from prtcl.scene.kept_visibility import KeptVisibility
 from prtcl.scene.mesh import Mesh
+from prtcl.scene.points import check_eye
 from prtcl.scene.view_points import SIDE, ViewPoints
 from prtcl.transport.fixed_view import Bits, FixedView, Keeper, rays_for
 
 NOT_TAKEN = ("levels", "rays", "keep", "views", "method", "visibility")
 """Settings of L ⊕ V that V ⊕ f_v has no use for."""
+POINT_BYTES = 200
+"""Host bytes of a sub-pixel point, at most, while all are put in order."""
 TOGETHER = 128
 """Lights of one product, at most: transport is made anew for each block."""
 
@@ -68,6 +74,14 @@ class ViewEngine:
         """Where kernels run."""
         return self._device
 
+    def check(self, camera: Camera) -> None:
+        """As `Engine.check`."""
+        check_eye(self.tracer, self.mesh, camera)
+        self._check_memory(camera)
+
+    def _check_memory(self, camera: Camera) -> None:
+        check_memory(self.tracer, camera, self.side**2 * POINT_BYTES + sphere.n_cells(self._rays) / 8)
+
     def ahead(self, environment: Environment) -> None:
         """Nothing: lights are taken apart block by block."""
 
@@ -77,6 +91,8 @@ class ViewEngine:
     ) -> npt.NDArray[np.uint32]:  # fmt: skip
         """Shoot the camera's rays, and trace what each pixel sees: `FixedView.bits`."""
         self._seen = None
+        if pixels is None:
+            self._check_memory(camera)
         with self.device.profile.host("camera_rays"):
             points = ViewPoints.of(
                 self.mesh, self.tracer, camera, self.side, two_sided=self.two_sided, pixels=pixels
@@ -92,7 +108,8 @@ class ViewEngine:
         view = FixedView(
             self.device, self.tracer, points.points, points.pixel, rays=self._rays, keeper=keeper
         )
-        self._seen = points, view
+        # The view has points of its own, in another order.
+        self._seen = replace(points, points=points.points[:0], pixel=points.pixel[:0]), view
         return view.bits
 
     def images(self, lights: Iterable[Wanted]) -> Iterator[Image]:

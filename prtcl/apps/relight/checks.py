@@ -10,14 +10,12 @@ from typing import Any
 
 from prtcl.apps.relight.names import plain
 from prtcl.errors import InputError
-from prtcl.factors.visibility import Tracer
 from prtcl.scene.bake import is_bake
+from prtcl.scene.camera import Camera
 from prtcl.scene.camera_path import View
 from prtcl.scene.frames import Job, Sources
 from prtcl.scene.frames_view import NOT_TAKEN
-from prtcl.scene.mesh import Mesh
 from prtcl.scene.plan import check_error
-from prtcl.scene.points import check_eye
 
 MOST_STOPS = 1000
 
@@ -77,7 +75,7 @@ def check_options(options: argparse.Namespace) -> None:
 
 
 def check_inputs(
-    missing: Iterable[Job], views: list[View], sources: Sources, tracer: Tracer, mesh: Mesh,
+    missing: Iterable[Job], views: list[View], sources: Sources, check: Callable[[Camera], object],
     progress: Callable[[int, int], object] | None = None,
 ) -> None:  # fmt: skip
     """Read every map and try every view that missing images need, so that no bad one ends a long run in its midst.
@@ -86,17 +84,18 @@ def check_inputs(
 
     Parameters
     ----------
+    check : called with the camera of each view, to raise what is wrong with it
     progress : called with the number of maps read, and of all
 
     Raises
     ------
     InputError
-        If a map cannot be read or holds what is no radiance, or a view sees nothing of the mesh.
+        If a map cannot be read or holds what is no radiance; what `check` raises, with the view's name.
     """
     jobs = list(missing)
     for view in sorted({job.view for job in jobs}):
         try:
-            check_eye(tracer, mesh, views[view].camera)
+            check(views[view].camera)
         except InputError as error:
             raise InputError(f"{plain(views[view].name)}: {error}") from error
     lights = sorted({job.light for job in jobs})

@@ -177,6 +177,10 @@ class Standing:
         """Where kernels run."""
         return self.engine.device
 
+    def check(self, camera: Camera) -> None:
+        """The engine's."""
+        self.engine.check(camera)
+
     def ahead(self, environment: Environment) -> None:
         """The engine's."""
         self.engine.ahead(environment)

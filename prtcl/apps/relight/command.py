@@ -7,6 +7,7 @@ import json
 import sys
 import time
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 from prtcl.apps.cluster import Workers, connected
@@ -19,7 +20,9 @@ from prtcl.apps.relight.manifest import MANIFEST
 from prtcl.compute.device import Device
 from prtcl.factors.visibility import Tracer
 from prtcl.scene.bake import read_mesh_or_bake
+from prtcl.scene.camera import Camera
 from prtcl.scene.frames import Sources, jobs
+from prtcl.scene.points import check_eye
 
 Tell = Callable[..., None]
 
@@ -72,12 +75,16 @@ def make(
     if waiting:
         engine = None if workers is not None else job.engine(device, not options.one_sided)
         sources = Sources(job.lights, options.env_up, options.repair, _note)
-        mesh, _ = read_mesh_or_bake(job.source)
         every = jobs(len(job.views), len(job.lights), len(job.rotations), len(job.materials))
         missing = [own for own in every if own.index not in finished]
-        tracer = Tracer(mesh.vertices, mesh.faces) if engine is None else engine.tracer
+        check: Callable[[Camera], object]
+        if engine is None:  # of their machines' memory only the workers know
+            mesh, _ = read_mesh_or_bake(job.source)
+            check = partial(check_eye, Tracer(mesh.vertices, mesh.faces), mesh)
+        else:
+            check = engine.check
         with bar("read", options.quiet, " maps", scale=False) as notify:
-            check_inputs(missing, job.views, sources, tracer, mesh, notify)
+            check_inputs(missing, job.views, sources, check, notify)
         device.profile.reset()
         with bar("relight", options.quiet, " images", scale=False) as notify:
             done = 0
