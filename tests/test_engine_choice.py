@@ -56,7 +56,7 @@ def test_the_job_goes_on_with_what_was_tried(
 
         def measured(*given: Any, name: str = name, real: Any = real) -> Cost:
             costs[name] = real(*given)
-            return Cost(1.0 if name == cheap else 2.0, 0.0)
+            return Cost(100.0 if name == cheap else 200.0, 0.0)
 
         monkeypatch.setattr(engine_choice, f"{name}_cost", measured)
     monkeypatch.setattr(engine_choice, "SAMPLE", 40)
@@ -77,6 +77,26 @@ def test_the_job_goes_on_with_what_was_tried(
     anew = relight(*arguments, samples=2, factorization=cheap, device=device, **own)
     for one, other in zip(going_on, anew, strict=True):
         assert one.job == other.job and one.image.any() and (one.image == other.image).all()
+
+
+def test_a_job_of_seconds_is_not_worth_a_trial(
+    device: Device, mesh: Mesh, sky: Environment, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Counted over all its views; V ⊕ f_v is then not even compiled."""
+    tried: list[str] = []
+    for name, cost in (("light", Cost(1.0, 0.0)), ("view", Cost(0.1, 0.0))):
+
+        def measured(*_: Any, name: str = name, cost: Cost = cost) -> Cost:
+            tried.append(name)
+            return cost
+
+        monkeypatch.setattr(engine_choice, f"{name}_cost", measured)
+    monkeypatch.setattr(engine_choice, "SAMPLE", 10**6)  # all pixels: the costs are the view's
+    looks = Looks(MATERIALS, mesh, **COARSE)
+    few, many = (choose_engine(mesh, looks, device, CAMERA, [sky], views=number) for number in (4, 6))
+    assert few.factorization == "light" and "about 4 s for all images" in few.reason
+    assert many.factorization == "view"
+    assert tried == ["light", "light", "view"]
 
 
 def test_some_pixels_are_seen_as_among_all(device: Device, mesh: Mesh, sky: Environment) -> None:

@@ -32,6 +32,8 @@ FEWER = 4
 """Of how many of these one is taken for the second trial of L ⊕ V."""
 BATCH = 16
 """Environments of the second trial of V ⊕ f_v; the first has one."""
+LITTLE = 5.0
+"""Seconds of a whole job by L ⊕ V that are not worth a trial of V ⊕ f_v, which takes about as long."""
 APART = "resample_light"
 """The host stage of V ⊕ f_v that does not grow with the pixels."""
 
@@ -78,7 +80,8 @@ class Choice:
 
 def choose_engine(
     mesh: Mesh, looks: Looks, device: Device, camera: Camera, environments: Sequence[Environment], *,
-    samples: int | None = None, two_sided: bool = True, hard: str = "auto", kept: KeptVisibility | None = None,
+    views: int = 1, samples: int | None = None, two_sided: bool = True, hard: str = "auto",
+    kept: KeptVisibility | None = None,
 ) -> Choice:  # fmt: skip
     """Try both engines on some of one view's pixels and take the one that is faster for all.
 
@@ -86,6 +89,7 @@ def choose_engine(
     ----------
     looks : of the job; `prtcl.scene.frames_view.serves` them
     environments : all of the job; the first few are tried
+    views : how many the job has, all taken to cost the same
     samples, two_sided, hard, kept : as `prtcl.scene.factorization.engine_of` takes them
 
     Raises
@@ -115,12 +119,17 @@ def choose_engine(
     except InputError:
         return Choice("light", "V ⊕ f_v needs more memory than there is", engines["light"])
     number = len(looks.full)
-    costs = (
-        light_cost(engines["light"], camera, tried, environments[0], number),
-        view_cost(engines["view"], camera, tried, environments, number),
-    )
+    light = light_cost(engines["light"], camera, tried, environments[0], number)
+    seconds = views * light.total(len(environments), len(seen) / len(tried))
+    if seconds < LITTLE:
+        return Choice(
+            "light",
+            f"about {seconds:.2g} s for all images by L ⊕ V, too little to try V ⊕ f_v",
+            engines["light"],
+        )
+    view = view_cost(engines["view"], camera, tried, environments, number)
     blocks = -(-len(environments) // together(len(seen), number))
-    chosen, reason = decide(*costs, len(environments), number, len(seen), len(tried), blocks)
+    chosen, reason = decide(light, view, len(environments), number, len(seen), len(tried), blocks)
     return Choice(chosen, reason, engines[chosen])
 
 

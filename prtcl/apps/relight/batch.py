@@ -220,7 +220,7 @@ def choose(
     # Of all lights only the number counts; the first stands for the others.
     environments = [turned[number % len(turned)] for number in range(count)]
     return choose_engine(
-        mesh, looks, device, views[0].camera, environments, samples=samples,
+        mesh, looks, device, views[0].camera, environments, views=len(views), samples=samples,
         two_sided=not options.one_sided, hard=settings["hard"] or "auto", kept=kept,
     )  # fmt: skip
 
