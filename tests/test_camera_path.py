@@ -180,7 +180,10 @@ def without(key: str) -> dict[str, Any]:
         ({**TREE, "scenes": [{"nodes": [2]}]}, "expected perspective cameras"),
         ({**TREE, "scenes": [{"nodes": [1, 1]}]}, "damaged"),
         (without("nodes") | {"scenes": [{}]}, "expected perspective cameras"),
-        ({**TREE, "cameras": [{"type": "perspective", "perspective": {"yfov": 4.0}}] * 3}, "yfov"),
+        (
+            {**TREE, "cameras": [{"type": "perspective", "perspective": {"yfov": 4.0}}] * 3},
+            "': yfov: expected radians",
+        ),
         ([], "damaged"),
     ],
 )

@@ -56,7 +56,10 @@ def gltf_cameras(path: Path, size: tuple[int, int]) -> tuple[list[tuple[str, Cam
             if stored.get("type") != "perspective":
                 notes.append(f"camera '{name}': left out, it is {stored.get('type', 'of no type')}")
                 continue
-            found.append((name, _camera(matrix, float(stored["perspective"]["yfov"]), size)))
+            try:
+                found.append((name, _camera(matrix, float(stored["perspective"]["yfov"]), size)))
+            except InputError as error:
+                raise InputError(f"camera '{name}': {error}") from error
     except InputError as error:
         if str(error).startswith(str(path)):
             raise
