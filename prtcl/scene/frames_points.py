@@ -145,7 +145,7 @@ def check_memory(tracer: Tracer, camera: Camera, each: float) -> None:
     if each * pixels > room:
         raise InputError(
             f"{pixels} pixels see the mesh, and what is kept of them takes about {each * pixels / 2**30:.3g} GiB of "
-            f"this machine's {room / 2**30:.3g}\nask for a smaller --size, fewer --samples or fewer --rays"
+            f"this machine's {room / 2**30:.3g}\nask for a smaller --size or fewer --samples"
         )
 
 
