@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import weakref
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,9 +23,11 @@ from prtcl.scene.factorization import FACTORIZATIONS, engine_for
 from prtcl.scene.frames import relight
 from prtcl.scene.frames_engine import Simple
 from prtcl.scene.frames_looks import Looks
+from prtcl.scene.frames_points import check_view
 from prtcl.scene.frames_view import ViewEngine
 from prtcl.scene.mesh import Mesh
 from prtcl.scene.points import seeing_pixels, shoot
+from prtcl.scene.view_points import ViewPoints
 
 CAMERA = Camera((3.1, 2.5, 5.4), (-0.1, 0.75, -0.3), fov=38.0, size=(24, 18))
 COARSE: dict[str, Any] = {"levels": 4, "rays": 3, "keep": 4, "views": 16}
@@ -145,20 +149,30 @@ def test_a_view_that_memory_does_not_hold_is_refused(
     """Before anything is traced; by the pixels that see the mesh, not by all."""
     fixed = {"rays": 4} if factorization == "light" else {}
     engine = engine_for(mesh, MATERIALS, device, factorization=factorization, **fixed)
-    engine.check(CAMERA)
+    check = partial(check_view, engine.tracer, mesh, engine.pixel_bytes)
+    check(CAMERA)
     pixels = len(seeing_pixels(engine.tracer, CAMERA))
     # 9 points of 200 bytes and 4^4 bits each; or 64 of 200 bytes, and 2 · 4^6 bits for all.
     each = 9 * (200 + 32) if factorization == "light" else 64 * 200 + 1024
     assert pixels < 24 * 18
     monkeypatch.setattr(host, "memory", lambda: pixels * each)
-    engine.check(CAMERA)
+    check(CAMERA)
     monkeypatch.setattr(host, "memory", lambda: pixels * each - 1)
     with pytest.raises(InputError, match=f"{pixels} pixels see the mesh.*GiB"):
-        engine.check(CAMERA)
+        check(CAMERA)
     device.profile.reset()
     with pytest.raises(InputError, match="smaller --size"):
         next(relight(mesh, [sky], MATERIALS, [CAMERA], factorization=factorization, device=device, **fixed))
     assert "visibility_rays" not in device.profile.host_seconds()
+
+
+def test_points_of_a_view_are_let_go_of(mesh: Mesh) -> None:
+    """What makes images keeps no part of the arrays that are ten times as large."""
+    seen = ViewPoints.of(mesh, Tracer(mesh.vertices, mesh.faces), CAMERA, 2)
+    grey = np.full((len(seen.seen), 3), 0.5)
+    whole, held = seen.image(grey), [weakref.ref(own) for own in (seen.points.frames, seen.pixel)]
+    seen = seen.without_points()
+    assert (seen.image(grey) == whole).all() and [own() for own in held] == [None, None]
 
 
 def test_what_memory_does_not_hold_is_not_chosen(

@@ -20,3 +20,9 @@ def memory() -> int | None:
             known.append(int(path.read_text()))
     known = [own for own in known if own > 0]
     return min(known) if known else None
+
+
+def holds(size: float) -> bool:
+    """Whether so many bytes fit, as far as the system says."""
+    room = memory()
+    return room is None or size <= room

@@ -13,8 +13,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from prtcl.compute import host
 from prtcl.compute.device import Device
-from prtcl.errors import InputError
 from prtcl.factors.environment import Environment
 from prtcl.factors.visibility import Tracer
 from prtcl.scene.camera import Camera
@@ -114,9 +114,7 @@ def choose_engine(
         )
         for name in ("light", "view")
     }  # fmt: skip
-    try:
-        engines["view"].check(camera)
-    except InputError:
+    if not host.holds(len(seen) * engines["view"].pixel_bytes):
         return Choice("light", "V ⊕ f_v needs more memory than there is", engines["light"])
     number = len(looks.full)
     light = light_cost(engines["light"], camera, tried, environments[0], number)
@@ -166,9 +164,9 @@ def light_cost(
     few = pixels[:: min(FEWER, len(pixels))]
     once = _timed(lambda: engine.prepare(camera, pixels))
     _draw(engine, [environment], looks)  # compiles kernels and makes the slices
-    many = min(_timed(lambda: _draw(engine, [environment], looks)) for _ in range(2))
+    many = _fastest(lambda: _draw(engine, [environment], looks))
     engine.prepare(camera, few)
-    less = min(_timed(lambda: _draw(engine, [environment], looks)) for _ in range(2))
+    less = _fastest(lambda: _draw(engine, [environment], looks))
     a_pixel = max(0.0, many - less) / max(1, len(pixels) - len(few))
     each = min(many, a_pixel * len(pixels))
     return Cost(once, each, apart=many - each)
@@ -196,6 +194,10 @@ def _draw(engine: Engine, environments: Sequence[Environment], looks: int) -> No
     """Make every look's image under some lights, and forget it."""
     for _ in engine.images((environment, range(looks)) for environment in environments):
         pass
+
+
+def _fastest(work: Callable[[], object]) -> float:
+    return min(_timed(work) for _ in range(2))
 
 
 def _timed(work: Callable[[], object]) -> float:

@@ -23,10 +23,9 @@ from prtcl.factors.stored import SliceStore
 from prtcl.factors.visibility import Tracer
 from prtcl.scene.camera import Camera
 from prtcl.scene.frames_looks import Looks
-from prtcl.scene.frames_points import Sight, check_memory, see
+from prtcl.scene.frames_points import Sight, see
 from prtcl.scene.kept_visibility import KeptVisibility
 from prtcl.scene.mesh import Mesh
-from prtcl.scene.points import check_eye
 from prtcl.transport import collapse, shade
 from prtcl.transport.pipeline import HARD_CHUNK, Points, in_unit
 from prtcl.transport.settings import Settings
@@ -51,9 +50,8 @@ class Engine(Protocol):
 
     tracer: Tracer
     """Of the mesh."""
-
-    def check(self, camera: Camera) -> None:
-        """Refuse a view that shows nothing of the mesh, stands inside it, or takes more memory than there is."""
+    pixel_bytes: float
+    """Host bytes that a view takes for each pixel that sees the mesh, about; `prepare` refuses what does not fit."""
 
     def ahead(self, environment: Environment) -> None:
         """Do what can be done for a light on another thread, before its turn comes."""
@@ -142,6 +140,11 @@ class Simple:
             self._groups.append(
                 _Group(settings, local, materials, SliceStore(device, materials, table, settings.keep, share))
             )
+        each = float(HIT_BYTES)
+        if points == "pixel" and bits is None:
+            rays = {(own.rays, own.visibility) for own in different}
+            each = POINT_BYTES + sum(quadtree.n_samples(levels) / 8 for levels, _ in rays)
+        self.pixel_bytes = samples**2 * each
         self._sight: Sight | None = None
         self._seen: dict[tuple[int, str], npt.NDArray[np.uint32]] = {}
 
@@ -149,18 +152,6 @@ class Simple:
     def device(self) -> Device:
         """Where kernels run."""
         return self._device
-
-    def check(self, camera: Camera) -> None:
-        """As `Engine.check`."""
-        check_eye(self.tracer, self.mesh, camera)
-        self._check_memory(camera)
-
-    def _check_memory(self, camera: Camera) -> None:
-        each = float(HIT_BYTES)
-        if self.points == "pixel" and self.bits is None:
-            rays = {(own.rays, own.visibility) for own in self.looks.settings}
-            each = POINT_BYTES + sum(quadtree.n_samples(levels) / 8 for levels, _ in rays)
-        check_memory(self.tracer, camera, self.samples**2 * each)
 
     def ahead(self, environment: Environment) -> None:
         """Take the light apart."""
@@ -180,13 +171,11 @@ class Simple:
         traced : bits (points, words) by levels and --visibility; none where a bake has them
         """
         profile, self._sight, self._seen = self.device.profile, None, dict(traced or {})
-        if pixels is None:
-            self._check_memory(camera)
         with profile.host("camera_rays"):
             vertex = self.points == "vertex" or self.bits is not None
             sight = see(
                 self.mesh, self.tracer, camera, self.samples, vertex, self.two_sided, self.bits is not None,
-                pixels,
+                pixels, self.pixel_bytes,
             )  # fmt: skip
         for group in self._groups:
             key = group.settings.rays, group.settings.visibility

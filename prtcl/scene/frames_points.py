@@ -81,6 +81,7 @@ def see(
     two_sided: bool,
     fixed: bool = False,
     pixels: npt.NDArray[np.int64] | None = None,
+    pixel_bytes: float = 0.0,
 ) -> Sight:
     """Shoot N × N rays through every pixel.
 
@@ -91,16 +92,12 @@ def see(
     two_sided : of pixels' points, as `pixel_points` takes it
     fixed : vertices keep the frames that a bake was traced in
     pixels : (k,) flat indices of those to look through, from an eye that was checked; the image is then one row of
-        them. None looks through all
-
-    Raises
-    ------
-    InputError
-        If the camera sees nothing of the mesh, or stands inside it.
+        them. None looks through all, and raises what `check_view` does
+    pixel_bytes : as `check_view` takes it
     """
     each, size = samples * samples, camera.size
     if pixels is None:
-        check_eye(tracer, mesh, camera)
+        check_view(tracer, mesh, pixel_bytes, camera)
         pixels = np.arange(size[0] * size[1])
     else:
         size = len(pixels), 1
@@ -126,26 +123,26 @@ def see(
     return Sight(size, each, np.concatenate(pixel), faces, np.concatenate(barycentric), whole, vertices)
 
 
-def check_memory(tracer: Tracer, camera: Camera, each: float) -> None:
-    """Refuse a view that takes more of the host's memory than there is.
+def check_view(tracer: Tracer, mesh: Mesh, pixel_bytes: float, camera: Camera) -> None:
+    """Refuse a view that shows nothing, or takes more of the host's memory than there is.
 
     Parameters
     ----------
-    each : bytes for a pixel that sees the mesh
+    pixel_bytes : for each pixel that sees the mesh; 0 checks no memory
 
     Raises
     ------
     InputError
-        Saying how much it would take.
+        If the camera sees nothing of the mesh, stands inside it, or needs more memory: how much.
     """
-    room = host.memory()
-    if room is None or each * camera.size[0] * camera.size[1] <= room:
+    check_eye(tracer, mesh, camera)
+    if host.holds(pixel_bytes * camera.size[0] * camera.size[1]):
         return
     pixels = len(seeing_pixels(tracer, camera))
-    if each * pixels > room:
+    if not host.holds(pixel_bytes * pixels):
         raise InputError(
-            f"{pixels} pixels see the mesh, and what is kept of them takes about {each * pixels / 2**30:.3g} GiB of "
-            f"this machine's {room / 2**30:.3g}\nask for a smaller --size or fewer --samples"
+            f"{pixels} pixels see the mesh, and what is kept of them takes about {pixel_bytes * pixels / 2**30:.3g} "
+            f"GiB of this machine's {(host.memory() or 0) / 2**30:.3g}\nask for a smaller --size or fewer --samples"
         )
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import replace
 from functools import partial
 from itertools import islice
 
@@ -18,10 +17,8 @@ from prtcl.factors.visibility import Tracer
 from prtcl.scene.camera import Camera
 from prtcl.scene.frames_engine import RADIANCE, Image, Wanted
 from prtcl.scene.frames_looks import Looks
-from prtcl.scene.frames_points import check_memory
 from prtcl.scene.kept_visibility import KeptVisibility
 from prtcl.scene.mesh import Mesh
-from prtcl.scene.points import check_eye
 from prtcl.scene.view_points import SIDE, ViewPoints
 from prtcl.transport.fixed_view import Bits, FixedView, Keeper, rays_for
 
@@ -66,6 +63,7 @@ class ViewEngine:
             self.tracer = tracer or Tracer(mesh.vertices, mesh.faces)
         # Of all looks, whichever are wanted: an image does not depend on the others.
         self._rays, self._kept = rays_for(looks.materials), kept
+        self.pixel_bytes = self.side**2 * POINT_BYTES + sphere.n_cells(self._rays) / 8
         self._worn = [[looks.materials[i] for i in own] for own in looks.full]
         self._seen: tuple[ViewPoints, FixedView | None] | None = None
 
@@ -73,14 +71,6 @@ class ViewEngine:
     def device(self) -> Device:
         """Where kernels run."""
         return self._device
-
-    def check(self, camera: Camera) -> None:
-        """As `Engine.check`."""
-        check_eye(self.tracer, self.mesh, camera)
-        self._check_memory(camera)
-
-    def _check_memory(self, camera: Camera) -> None:
-        check_memory(self.tracer, camera, self.side**2 * POINT_BYTES + sphere.n_cells(self._rays) / 8)
 
     def ahead(self, environment: Environment) -> None:
         """Nothing: lights are taken apart block by block."""
@@ -91,12 +81,11 @@ class ViewEngine:
     ) -> npt.NDArray[np.uint32]:  # fmt: skip
         """Shoot the camera's rays, and trace what each pixel sees: `FixedView.bits`."""
         self._seen = None
-        if pixels is None:
-            self._check_memory(camera)
         with self.device.profile.host("camera_rays"):
             points = ViewPoints.of(
-                self.mesh, self.tracer, camera, self.side, two_sided=self.two_sided, pixels=pixels
-            )
+                self.mesh, self.tracer, camera, self.side, two_sided=self.two_sided, pixels=pixels,
+                pixel_bytes=self.pixel_bytes,
+            )  # fmt: skip
         if not len(points.points):  # the mesh lies between the few points of all pixels
             self._seen = points, None
             return np.zeros((0, 0), np.uint32)
@@ -109,7 +98,7 @@ class ViewEngine:
             self.device, self.tracer, points.points, points.pixel, rays=self._rays, keeper=keeper
         )
         # The view has points of its own, in another order.
-        self._seen = replace(points, points=points.points[:0], pixel=points.pixel[:0]), view
+        self._seen = points.without_points(), view
         return view.bits
 
     def images(self, lights: Iterable[Wanted]) -> Iterator[Image]:

@@ -41,25 +41,26 @@ class ViewPoints:
     def of(
         cls, mesh: Mesh, tracer: Tracer, camera: Camera, side: int = SIDE, *, two_sided: bool = True,
         one_material: bool = False, pixels: npt.NDArray[np.int64] | None = None,
+        pixel_bytes: float = 0.0,
     ) -> ViewPoints:  # fmt: skip
         """Shoot side × side camera rays through every pixel.
 
         Parameters
         ----------
         one_material : all points are of material 0, whatever the mesh's parts
-        pixels : as `see` takes them
-
-        Raises
-        ------
-        InputError
-            If the camera sees nothing of the mesh, or stands inside it.
+        pixels, pixel_bytes : as `see` takes them, and refuses views
         """
-        sight = see(mesh, tracer, camera, side, False, two_sided, pixels=pixels)
+        sight = see(mesh, tracer, camera, side, False, two_sided, pixels=pixels, pixel_bytes=pixel_bytes)
         points = sight.points
         if one_material:
             points = replace(points, material=np.zeros_like(points.material))
         seen, hits_of = np.unique(sight.pixel, return_counts=True)
         return cls(points, sight.pixel, seen, hits_of / sight.each, sight.size)
+
+    def without_points(self) -> ViewPoints:
+        """What `image` needs of it: the points are let go of."""
+        none = np.zeros(0, dtype=np.int64)  # a slice would hold them
+        return replace(self, points=self.points[none], pixel=self.pixel[none])
 
     def image(self, radiance: npt.NDArray[np.floating]) -> npt.NDArray[np.float32]:
         """(h, w, 4) linear RGBA, colour premultiplied by coverage, of the radiance (pixels, 3) of what was seen."""

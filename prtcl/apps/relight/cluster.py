@@ -168,7 +168,7 @@ class Standing:
     """
 
     def __init__(self, engine: Engine) -> None:
-        self.engine, self.tracer = engine, engine.tracer
+        self.engine, self.tracer, self.pixel_bytes = engine, engine.tracer, engine.pixel_bytes
         self.before: Camera | None = None
         self.traced: Any = None
 
@@ -176,10 +176,6 @@ class Standing:
     def device(self) -> Device:
         """Where kernels run."""
         return self.engine.device
-
-    def check(self, camera: Camera) -> None:
-        """The engine's."""
-        self.engine.check(camera)
 
     def ahead(self, environment: Environment) -> None:
         """The engine's."""

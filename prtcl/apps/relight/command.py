@@ -20,9 +20,8 @@ from prtcl.apps.relight.manifest import MANIFEST
 from prtcl.compute.device import Device
 from prtcl.factors.visibility import Tracer
 from prtcl.scene.bake import read_mesh_or_bake
-from prtcl.scene.camera import Camera
 from prtcl.scene.frames import Sources, jobs
-from prtcl.scene.points import check_eye
+from prtcl.scene.frames_points import check_view
 
 Tell = Callable[..., None]
 
@@ -77,12 +76,10 @@ def make(
         sources = Sources(job.lights, options.env_up, options.repair, _note)
         every = jobs(len(job.views), len(job.lights), len(job.rotations), len(job.materials))
         missing = [own for own in every if own.index not in finished]
-        check: Callable[[Camera], object]
-        if engine is None:  # of their machines' memory only the workers know
-            mesh, _ = read_mesh_or_bake(job.source)
-            check = partial(check_eye, Tracer(mesh.vertices, mesh.faces), mesh)
-        else:
-            check = engine.check
+        mesh, _ = read_mesh_or_bake(job.source)
+        tracer = Tracer(mesh.vertices, mesh.faces) if engine is None else engine.tracer
+        # Of their machines' memory only the workers know.
+        check = partial(check_view, tracer, mesh, 0.0 if engine is None else engine.pixel_bytes)
         with bar("read", options.quiet, " maps", scale=False) as notify:
             check_inputs(missing, job.views, sources, check, notify)
         device.profile.reset()
